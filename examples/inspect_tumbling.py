@@ -6,8 +6,7 @@ RUN is a run of the sequence SEQ, which has a truth (``make demo`` makes one of 
 run alone: the target's motion, its time-dependent keep-out volume at 99 %, and a way from the camera to the
 far side that stays out of it (CasADi, IPOPT). Then MuJoCo flies it: the target tumbles from the *true* state
 with the true inertia, by MuJoCo's own integration; the inspector is pushed along the plan by forces. Printed
-is how close the surfaces come, beside what was promised. DIR gets flight.mp4, flight.gif, flight.png,
-flight.csv.
+is how close the surfaces come, beside what was promised. DIR gets flight.csv.
 """
 
 import argparse
@@ -17,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from polhode.geometry.lie import Array, Ints, wxyz_from_matrix
+from polhode.geometry.lie import Array, Ints, matrix_from_wxyz, wxyz_from_matrix
 from polhode.planning.approach.trajectory import (
     ApproachTask,
     ApproachTrajectory,
@@ -39,8 +39,6 @@ CLEARANCE_M = 0.03
 STEP_S = 0.01
 STIFFNESS, DAMPING = 0.2, 1.0
 """Of the inspector's own control, per kg: it holds the plan against what integration makes of it."""
-SHOWN_EVERY_S, FRAMES_PER_S = 0.4, 15
-SIZE_PX = (640, 480)
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     promised, expected = promise(volume, trajectory, surface.mesh)
     print(f"Planned: {trajectory.delta_v_m_s:.4f} m/s over {duration_s:g} s, {len(trajectory.accel_N)} steps")
     print(f"Bound at 99 %: never closer than {1e3 * promised:.1f} mm; expected {1e3 * expected:.1f} mm")
-    flight = fly(trajectory, truth, last_ns, volume, folder)
+    flight = fly(trajectory, truth, last_ns)
     distance = separation(flight, truth)
     k = int(np.argmin(distance))
     off = np.linalg.norm(flight.inspector_N - trajectory.at(flight.time_s)[0], axis=1).max()
@@ -122,8 +120,6 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
 
 def promise(volume: InstantKeepOut, trajectory: ApproachTrajectory, mesh: Any) -> tuple[float, float]:
     """Gaps [m]: from the keep-out volume, never less at 99 %; from the estimated surface, expected."""
-    from scipy.spatial import cKDTree
-
     motion = volume.motion
     p, _, _ = trajectory.at(motion.time_s)
     q, _, _ = sample_surface(mesh, np.zeros(len(mesh.vertices)), 0.003)
@@ -134,10 +130,6 @@ def promise(volume: InstantKeepOut, trajectory: ApproachTrajectory, mesh: Any) -
 
 def separation(flight: Flight, truth: Truth) -> Array:
     """Gap (n,) [m] between the inspector and the true surface."""
-    from scipy.spatial import cKDTree
-
-    from polhode.geometry.lie import matrix_from_wxyz
-
     assert truth.mesh is not None
     q, _, _ = sample_surface(truth.mesh, np.zeros(len(truth.mesh.vertices)), 0.003)
     R_NP = matrix_from_wxyz(flight.q_NP_wxyz)
@@ -145,22 +137,17 @@ def separation(flight: Flight, truth: Truth) -> Array:
     return np.asarray(cKDTree(q).query(p_P @ truth.R_GP.T + truth.com_G)[0] - RADIUS_M)
 
 
-def fly(
-    trajectory: ApproachTrajectory, truth: Truth, last_ns: Ints, volume: InstantKeepOut, folder: Path
-) -> Flight:
-    """Let MuJoCo move both; film it."""
+def fly(trajectory: ApproachTrajectory, truth: Truth, last_ns: Ints) -> Flight:
+    """Let MuJoCo move both."""
     import mujoco
 
-    from examples.film import Film
-
     state = truth_at(truth, last_ns)
-    model = build(truth, volume)
+    model = build(truth)
     model.opt.timestep = STEP_S
     data = mujoco.MjData(model)
     data.qpos[0:3], data.qpos[3:7] = state.r_N[0], wxyz_from_matrix(state.R_NP[0])
     data.qvel[0:3], data.qvel[3:6] = state.v_N[0], state.w_P[0]
     data.qpos[7:10], data.qpos[10] = trajectory.p_N[0], 1.0
-    film = Film(model, SIZE_PX, FRAMES_PER_S, volume, trajectory)
     steps = round(trajectory.time_s[-1] / STEP_S)
     rows, contacts = [], 0
     for n in range(steps + 1):
@@ -168,55 +155,33 @@ def fly(
         p, v, a = (each[0] for each in trajectory.at(now))
         if n % round(0.1 / STEP_S) == 0:
             rows.append(np.concatenate([now, data.qpos[7:10], data.qpos[0:7]]))
-        if n % round(SHOWN_EVERY_S / STEP_S) == 0:
-            film.add(data, float(now[0]))
         force = MASS_KG * (a + STIFFNESS * (p - data.qpos[7:10]) + DAMPING * (v - data.qvel[6:9]))
         data.xfrc_applied[2, :3] = force * min(1.0, MAX_FORCE_N / max(float(np.linalg.norm(force)), 1e-12))
         mujoco.mj_step(model, data)
         contacts += int(data.ncon > 0)
-    film.write(folder)
     table = np.array(rows)
     return Flight(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7:11], contacts)
 
 
-def build(truth: Truth, volume: InstantKeepOut) -> Any:
-    """Target and inspector, both free, and the keep-out volume as a ghost that only shows."""
+def build(truth: Truth) -> Any:
+    """Target and inspector, both free."""
     import mujoco
 
     assert truth.mesh is not None
     mass = truth.mass_kg or 1.0
     vertices_P = (np.asarray(truth.mesh.vertices) - truth.com_G) @ truth.R_GP
-    grown = volume.body.grid.mesh(float(min(volume.margin_m().max(), 2.0 * volume.body.grid.step_m)))
-    grown = grown.simplify_quadric_decimation(face_count=4000)
     spec = mujoco.MjSpec()
     spec.option.gravity = [0.0, 0.0, 0.0]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = SIZE_PX
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.7] * 3
-    for name, V, F in (
-        ("target", vertices_P, np.asarray(truth.mesh.faces)),
-        ("grown", np.asarray(grown.vertices), np.asarray(grown.faces)),
-    ):
-        mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-        mesh.uservert, mesh.userface = V.astype(np.float32).ravel(), F.astype(np.int32).ravel()
+    mesh = spec.add_mesh(name="target", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    mesh.uservert = vertices_P.astype(np.float32).ravel()
+    mesh.userface = np.asarray(truth.mesh.faces).astype(np.int32).ravel()
     target = spec.worldbody.add_body(name="target", mass=mass, inertia=truth.moments, explicitinertial=True)
     target.add_freejoint()
-    target.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname="target", rgba=[0.75, 0.72, 0.62, 1.0], mass=0.0
-    )
+    target.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="target", mass=0.0)
     inspector = spec.worldbody.add_body(name="inspector")
     inspector.add_freejoint()
-    inspector.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], rgba=[0.85, 0.25, 0.2, 1.0], mass=MASS_KG
-    )
-    ghost = spec.worldbody.add_body(name="ghost", mocap=True)
-    ghost.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname="grown",
-        rgba=[0.3, 0.6, 1.0, 0.15],
-        contype=0,
-        conaffinity=0,
-    )
+    inspector.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], mass=MASS_KG)
     return spec.compile()
 
 

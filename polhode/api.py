@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 import numpy as np
 import trimesh
@@ -70,10 +70,12 @@ from polhode.runtime.threads import single_threaded
 if TYPE_CHECKING:
     import pandas as pd
 
+T = TypeVar("T")
 EXPORT_OPTIONS = tuple(each.name for each in fields(ExportOptions) if each.name not in ("to", "output"))
 EXPORT_WORDS = {word: word for word in (*FORMATS, *get_args(FrameName), *get_args(Unit), *get_args(Poses))}
 """What ``Run.export`` passes on, and the texts among their values"""
 
+NO_ESTIMATE = "this run failed before it had an estimate"
 Configuration = Config | str | Path | Mapping[str, Any] | None
 """A configuration, a file of one, settings that differ from the default ({"backend.inertia": "ratios_axes"},
 or nested), or the default"""
@@ -92,10 +94,9 @@ def run(
     """Estimate motion, mass properties, map and mesh from a stereo sequence, as ``polhode run``.
 
     data: folder of the sequence; output: folder of the run, None: a temporary one, which is removed with the
-    last reference to what is returned; resume: stages that an earlier run has finished in ``output`` are used
-    again. Raises InputError for bad input, which leaves nothing behind;
-    RunFailure when no motion is found, and then ``output`` holds what was found before. A run that ends with
-    a motion that cannot be trusted is returned, with the status "failed" or "degraded".
+    last reference to what is returned; resume: stages that an earlier run has finished there are used again.
+    Raises InputError for bad input, which leaves nothing behind; RunFailure when no motion is found, and then
+    ``output`` holds what was found before. A motion that cannot be trusted is returned, with its status.
     """
     values, shown = configuration(config), chosen_progress(progress)
     start_server((run_pipeline.__module__,), worker_count(values.runtime.workers))
@@ -106,14 +107,11 @@ def run(
     folder = Path(temporary.name) / "run"
     try:
         run_pipeline(values, Path(data), folder, shown)
-    except RunFailure as failure:
+    except BaseException as error:
         temporary.cleanup()
-        raise RunFailure(
-            f"{failure} (a temporary folder, which is removed: give output to keep it)"
-        ) from None
-    except BaseException:
-        temporary.cleanup()
-        raise
+        if not isinstance(error, RunFailure):
+            raise
+        raise RunFailure(f"{error} (a temporary folder, which is removed: give output to keep it)") from None
     return Run(folder, temporary)
 
 
@@ -264,20 +262,18 @@ class Run:
         The estimated centre of mass and axes are exact marks on the body, as in a prediction. Raises
         InputError: the run is of an earlier version, which stored it for the last frame alone.
         """
-        found = read_covariance(self.folder).covariance_of_marks
-        if found is None:
-            raise InputError(
-                f"{self.folder / 'covariance.npz'}: an earlier version wrote it, without the covariance of "
-                "marks in every frame; run it again, or take that of the last one from predict(0.0)"
-            )
-        return found
+        return _there(
+            read_covariance(self.folder).covariance_of_marks,
+            f"{self.folder / 'covariance.npz'}: an earlier version wrote it, without the covariance of "
+            "marks in every frame; run it again, or take that of the last one from predict(0.0)",
+        )
 
     @cached_property
     def mass(self) -> MassEstimate:
         """Inertia, centre of mass and axes. Raises InputError if the run ended before it had them."""
         found = self.summary
         if found.inertia is None or found.com_G is None or found.R_GP is None or found.identifiable is None:
-            raise InputError(f"{self.folder}: this run failed before it had an estimate")
+            raise InputError(f"{self.folder}: {NO_ESTIMATE}")
         return MassEstimate(
             k=np.array([found.inertia.k1, found.inertia.k2]),
             cov_k=_variances(found.inertia.cov),
@@ -299,10 +295,7 @@ class Run:
 
     @cached_property
     def _motion(self) -> StoredMotion:
-        motion = read_motion(self.folder, self.summary)
-        if motion is None:
-            raise InputError(f"{self.folder}: this run failed before it had an estimate")
-        return motion
+        return _there(read_motion(self.folder, self.summary), f"{self.folder}: {NO_ESTIMATE}")
 
     @cached_property
     def landmarks(self) -> Landmarks:
@@ -335,18 +328,13 @@ class Run:
     @cached_property
     def links(self) -> RelativePoses:
         """The relative poses of matched frames, for ``stages.first_motion``. Raises InputError."""
-        found = read_relative_poses(self.folder)
-        if found is None:
-            raise InputError(f"{self.folder}: this run ended before it had matched frames")
-        return found
+        words = f"{self.folder}: this run ended before it had matched frames"
+        return _there(read_relative_poses(self.folder), words)
 
     @cached_property
     def residuals(self) -> MeasurementResiduals:
         """Residual (M, 3) [px] and weight (M,) of each measurement after the estimate. Raises InputError."""
-        found = read_residuals(self.folder)
-        if found is None:
-            raise InputError(f"{self.folder}: this run failed before it had an estimate")
-        return found
+        return _there(read_residuals(self.folder), f"{self.folder}: {NO_ESTIMATE}")
 
     @errors_name_arguments({"--horizon": "time_s"})
     def predict(self, time_s: ArrayLike) -> PredictedMotion:
@@ -437,11 +425,8 @@ class Run:
     def to_pandas(self, table: TableName = "trajectory") -> "pd.DataFrame":
         """A table of the run, with the columns and units of docs/run_directory.md (needs pandas).
 
-        Args:
-            table: "trajectory", "online", "landmarks", "observations" (with residuals) or "checks".
-
-        Raises:
-            InputError: pandas is not installed, there is no such table, or the run has no such file.
+        table: "trajectory", "online", "landmarks", "observations" (with residuals) or "checks". Raises
+        InputError: pandas is not installed, there is no such table, or the run has no such file.
         """
         columns = columns_of(table, self.folder, self.summary)
         try:
@@ -451,20 +436,29 @@ class Run:
         return pd.DataFrame(columns)
 
 
+def _there(found: T | None, words: str) -> T:
+    """Raises InputError: it is not."""
+    if found is None:
+        raise InputError(words)
+    return found
+
+
+def _numbers(values: ArrayLike, what: str) -> Array:
+    """Raises InputError."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(what) from None
+
+
 def _seconds(time_s: ArrayLike) -> Array:
     """One time () or times (T,). Raises InputError: not numbers."""
-    try:
-        return np.asarray(time_s, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("times: give numbers, in seconds after the last pair") from None
+    return _numbers(time_s, "times: give numbers, in seconds after the last pair")
 
 
 def _points(p_G: ArrayLike) -> Array:
     """(n, 3) from these or one point (3,). Raises InputError."""
-    try:
-        points = np.atleast_2d(np.asarray(p_G, dtype=np.float64))
-    except (TypeError, ValueError):
-        raise InputError("points: give numbers, coordinates (n, 3) in G [m]") from None
+    points = np.atleast_2d(_numbers(p_G, "points: give numbers, coordinates (n, 3) in G [m]"))
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError(f"points of shape {np.shape(p_G)}: give finite coordinates (n, 3) in G [m]")
     return points

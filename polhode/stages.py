@@ -77,18 +77,12 @@ def open_sequence(
 ) -> RunContext:
     """Open a sequence: what every other stage takes first.
 
-    Args:
-        data: folder of the sequence.
-        config: as for ``polhode.run``; ``RUN/config.yaml`` repeats the settings of a run.
-        progress: whether stages show their progress, or what shows it.
-
-    Returns:
-        Images and calibration (``sequence``), how they are rectified (``rectifier``), the rectified camera
-        (``rig``), its pose in N (``X_NR``, (F, 4, 4)), the times (``time_s``, (F,) [s]) and the settings
-        (``config``). ``of_frames`` gives the context of some of the frames.
-
-    Raises:
-        InputError: something is missing or wrong in the folder or in the configuration.
+    data: its folder; config: as for ``polhode.run``, ``RUN/config.yaml`` repeats the settings of a run;
+    progress: whether stages show their progress, or what shows it. Returns images and calibration
+    (``sequence``), how they are rectified (``rectifier``), the rectified camera (``rig``), its pose in N
+    (``X_NR``, (F, 4, 4)), the times (``time_s``, (F,) [s]) and the settings (``config``); ``of_frames`` gives
+    the context of some of the frames. Raises InputError: something is missing or wrong in the folder or in
+    the configuration.
     """
     return open_context(Path(data), configuration(config), chosen_progress(progress))
 
@@ -97,8 +91,7 @@ def open_sequence(
 def rectified_pair(context: RunContext, k: int) -> RectifiedPair:
     """Pair k, 0 <= k < F, read, rectified and masked: images (H, W) of 8 bits, masks true on the target.
 
-    Raises:
-        InputError: there is no such pair, or its images have changed since the sequence was opened.
+    Raises InputError: there is no such pair, or its images have changed since the sequence was opened.
     """
     count = len(context.sequence)
     if not 0 <= k < count:
@@ -110,8 +103,7 @@ def rectified_pair(context: RunContext, k: int) -> RectifiedPair:
 def features_of_pair(context: RunContext, pair: RectifiedPair) -> StereoFeatures:
     """The stereo features of one pair: (n,) points with ``uvd_px``, ``sigma_px`` and descriptors.
 
-    Raises:
-        InputError: weights of the feature method are missing or wrong.
+    Raises InputError: weights of the feature method are missing or wrong.
     """
     return extract_pair_features(context, pair)
 
@@ -120,8 +112,7 @@ def features_of_pair(context: RunContext, pair: RectifiedPair) -> StereoFeatures
 def extract_features(context: RunContext) -> list[StereoFeatures]:
     """The stereo features of every pair, F of them, by ``runtime.workers`` processes.
 
-    Raises:
-        InputError: weights of the feature or matching method are missing or wrong.
+    Raises InputError: weights of the feature or matching method are missing or wrong.
     """
     return features_of_frames(context)
 
@@ -130,13 +121,10 @@ def extract_features(context: RunContext) -> list[StereoFeatures]:
 def match_features(context: RunContext, features: Sequence[StereoFeatures]) -> Correspondences:
     """Match the features of every frame, F, with those of every other, or of similar ones, without a motion.
 
-    Returns:
-        ``matches`` that pass the geometric check and contradict no others; ``links``, the relative poses that
-        follow from them; ``tracks(context)``, the measurements for a back end. ``PairMatch.i`` and ``.j`` are
-        positions in ``features``, and so frames of the context.
-
-    Raises:
-        InputError: there are not as many features as the context has frames.
+    Returns ``matches`` that pass the geometric check and contradict no others; ``links``, the relative poses
+    that follow from them; ``tracks(context)``, the measurements for a back end. ``PairMatch.i`` and ``.j``
+    are positions in ``features``, and so frames of the context. Raises InputError: there are not as many
+    features as the context has frames.
     """
     _require_every_frame(context, features)
     return match_all_frames(context, features)
@@ -146,12 +134,9 @@ def match_features(context: RunContext, features: Sequence[StereoFeatures]) -> C
 def find_motion(context: RunContext, correspondences: Correspondences) -> MotionSolution:
     """Motion, mass properties and landmarks: solve, match again with the motion found, refine the tracks.
 
-    Returns:
-        ``estimate``, and the ``tracks`` that it rests on: the last of the solutions that a run writes.
-        The images are read again to refine the tracks, and for the second feature method where it is needed.
-
-    Raises:
-        RunFailure: no consistent motion is found.
+    Returns the ``estimate``, and the ``tracks`` that it rests on: the last solution that a run writes. The
+    images are read again to refine the tracks, and for the second feature method where it is needed.
+    Raises RunFailure: no consistent motion is found.
     """
     return find_by_stages(context, correspondences)
 
@@ -160,8 +145,7 @@ def find_motion(context: RunContext, correspondences: Correspondences) -> Motion
 def first_motion(tracks: StereoTracks, links: RelativePoses, config: Configuration = None) -> InitialMotion:
     """Poses X_RG (F, 4, 4) of the target by pose graph and bundle adjustment, without dynamics.
 
-    Raises:
-        RunFailure: fewer than three frames can be connected.
+    Raises RunFailure: fewer than three frames can be connected.
     """
     return initialize_motion(tracks, links, configuration(config).backend.for_motion)
 
@@ -176,8 +160,7 @@ def estimate_motion(
 ) -> MotionEstimate:
     """The back end alone: smooth all F frames as the motion of a rigid body, and find its mass properties.
 
-    Raises:
-        RunFailure: no guess leads to a motion that most observations agree with.
+    Raises RunFailure: no guess leads to a motion that most observations agree with.
     """
     backend = configuration(config).backend.for_motion
     return estimate_by_back_end(tracks, initial, backend, progress=chosen_progress(progress))
@@ -192,8 +175,7 @@ def depth_map(context: RunContext, pair: RectifiedPair, features: StereoFeatures
 def depth_maps(context: RunContext, features: Sequence[StereoFeatures]) -> Iterator[DepthMap]:
     """The depth maps of all F pairs, in order, each made when it is asked for or a little before.
 
-    Raises:
-        InputError: there are not as many features as the context has frames.
+    Raises InputError: there are not as many features as the context has frames.
     """
     _require_every_frame(context, features)
     return iter(depth_maps_of(context, features))
@@ -205,8 +187,7 @@ def fuse_depth(
 ) -> SurfaceModel:
     """Fuse depth maps of every frame, moved into G by the poses X_NG (F, 4, 4), in a distance field.
 
-    Returns:
-        The mesh in G [m] with ``sigma_m`` and ``views`` of each vertex; empty when nothing was seen.
+    Returns the mesh in G [m] with ``sigma_m`` and ``views`` of each vertex; empty when nothing was seen.
     """
     return fuse_at_poses(context, maps, MotionSolution(tracks, estimate, NO_LINKS))
 

@@ -9,13 +9,12 @@ In: the folder of a sequence and a configuration. Out: the run directory (docs/r
 - stream_results: what a stream has found already, for the run that follows
 - correspondences: features of all frames, and the frames that match
 - depth_maps: depth of all pairs, made now or stored before
-- find_motion: solve, match again, keep what fits better; consistency_check decides what fits better
+- find_motion: solve, match again, keep what fits better
 - long_sequence: thousands of frames by a stream, key frames, and all states in their map
 - judge_motion: the causal estimate, the checks of data and answer, what the motion leaves open
 - build_surface: fusion of the depth by the motion
 - finish_surface: holes, colours, coverage and levels of the fused surface
-- write_results: the files of a run, each as soon as there is what it contains
-- run_pictures: the pictures of a run
+- write_results: the files of a run, each as soon as there is what it contains, and its pictures
 - coverage: the share of the body that was seen, seen but never lit, never seen
 - uniform_density: mass properties from the mesh at uniform density, assumed and compared with the motion's
 

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from polhode.config import Config
+from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
 from polhode.frontend.features.stereo import StereoFeatures
+from polhode.frontend.found_masks import FoundMasks
 from polhode.frontend.rectification import Rectifier, make_rectifier
 from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints
-from polhode.pipeline.found_background import doubts_of_masks, with_found_masks
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.stages import StageStore
@@ -22,8 +23,6 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.processes import worker_count
 from polhode.runtime.progress import Progress
 
-SAMPLED_IMAGES = 8
-"""Images in which surroundings are looked for."""
 SURROUNDINGS = (
     "every image shows dim surroundings around a bright target, up to its border: they are taken for "
     "background; if they belong to the target, give masks (masks0/ and masks1/)"
@@ -116,7 +115,37 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
 def rectifier_of(sequence: StereoSequence) -> Rectifier:
     """The rectifier of a sequence, which leaves dim surroundings out of masks. Raises InputError."""
     rectifier = make_rectifier(sequence.calibration)
-    sampled = np.unique(np.linspace(0, len(sequence) - 1, SAMPLED_IMAGES).round().astype(int)).tolist()
+    sampled = np.unique(np.linspace(0, len(sequence) - 1, 8).round().astype(int)).tolist()
     left = (sequence.read_left(k) for k in sampled)
     images = (rectifier(image, 0) for image, mask in left if mask is None)
     return replace(rectifier, surroundings=has_surroundings(images, rectifier.borders[0]))
+
+
+def with_found_masks(
+    sequence: StereoSequence, rectifier: Rectifier, frames: Sequence[int], workers: int, progress: Progress
+) -> Rectifier:
+    """The rectifier with the masks of these pairs, if they need any: no dark sky, and none are given."""
+    background = None if rectifier.surroundings else find_background(sequence, rectifier)
+    if background is None:
+        return rectifier
+    with progress.stage("masks of the target", len(frames)) as advance:
+        found = find_masks(sequence, rectifier, background, frames, workers, advance)
+    if found is None:
+        _log.info("nothing stands before the background, which is %s", background.description)
+        return rectifier
+    _log.info("the background is not dark: what stands before it, %s, is the target", background.description)
+    return replace(rectifier, found=found)
+
+
+def doubts_of_masks(found: FoundMasks) -> str:
+    """What is doubtful about found masks, a sentence that names three frames; empty: nothing."""
+    doubtful = doubtful_frames(found)
+    if not doubtful:
+        return ""
+    named = ", ".join(str(k) for k in doubtful[:3]) + (", ..." if len(doubtful) > 3 else "")
+    return (
+        "the background is not dark, and the masks of the target that were found are doubtful in "
+        f"{len(doubtful)} of {len(found.quality)} pairs (frames {named}): the two images, the stereo matches "
+        "or the neighbouring frames disagree; look at pictures/masks.jpg, and give masks (masks0/ and "
+        "masks1/) if they are wrong"
+    )

@@ -33,14 +33,8 @@ from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.runtime.errors import RunFailure
 
 _log = logging.getLogger(__name__)
-MIN_MEASURED_FRAMES = 3
 MAX_DIFFERENCE_RAD = np.deg2rad(15.0)
 """A match whose rotation differs by more from that of the known motion contradicts it."""
-MAX_CONTRADICTING_SHARE = 0.3
-"""Share of the matches of a second method that contradict the known motion; with more, other motions of the
-same frames are considered."""
-MIN_CONTRAST = 3.0
-"""Inliers of frames that show the same side over those of others; with less it may be the light's motion."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +54,7 @@ class Correspondences:
     def require_features(self, least: int) -> None:
         """Raise RunFailure if fewer than three frames have at least so many features."""
         measured = sum(len(features) >= least for features in self.features)
-        if measured < MIN_MEASURED_FRAMES:
+        if measured < 3:
             raise RunFailure(
                 f"only {measured} of {len(self.features)} frames show enough stereo features on the target; "
                 "check exposure, focus and the calibration"
@@ -221,7 +215,8 @@ def _of_the_body(
         return unchanged
     time_s, R_NR = context.time_s, context.X_NR[:, :3, :3]
     present = contrast_of_links(relative_poses([*first, *matches]), time_s, R_NR)
-    if present is not None and present >= MIN_CONTRAST:
+    # inliers of frames that show the same side over those of others; with less it may be the light's motion
+    if present is not None and present >= 3.0:
         return unchanged
     several = _match(context, features, partners, frontend, count)
     chosen = links_of_the_body(relative_poses([*first, *several]), time_s, R_NR, present)
@@ -252,7 +247,7 @@ def _agreeing_with_motion(
     """
     count = frontend.pairs.motions
     off = rotation_errors(relative_poses(matches), X_RG) > MAX_DIFFERENCE_RAD
-    few_off = np.sum(off) <= MAX_CONTRADICTING_SHARE * len(off)
+    few_off = np.sum(off) <= 0.3 * len(off)
     if count == 1 or few_off or not isinstance(match_method(frontend), HypothesisMethod):
         return first, matches
     several = _match(context, features, partners, frontend, count)

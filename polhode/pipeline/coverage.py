@@ -12,17 +12,14 @@ import trimesh
 from numpy.typing import NDArray
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Bools
+from polhode.geometry.lie import Array
 from polhode.mapping.visibility import MIN_COSINE, Caster, FrameView, pixels_of, towards_G
 from polhode.records.mesh_metrics import sample_surface
 from polhode.records.surface import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
 from polhode.run_directory.summary_schema import Coverage
 
 Classes = NDArray[np.uint8]
-
 SAMPLES = 6000
-MIN_ONE_SIDED = 0.6
-"""A part faces one direction if its mean normal is at least this long, relative to a spherical cap."""
 
 
 def classes_of(
@@ -47,30 +44,45 @@ def with_classes(
     surface: SurfaceModel, views: Sequence[FrameView], rig: RectifiedRig, caster: Caster
 ) -> Classes:
     """(V,) classes of the vertices: measured ones were seen lit; the others are tested in every frame."""
-    classes = np.full(len(surface.mesh.vertices), SEEN_LIT, dtype=np.uint8)
-    unmeasured = np.flatnonzero(surface.views == 0)
+    mesh, unmeasured = surface.mesh, np.flatnonzero(surface.views == 0)
+    classes = np.full(len(mesh.vertices), SEEN_LIT, dtype=np.uint8)
     if len(unmeasured):
-        p_G = np.asarray(surface.mesh.vertices)[unmeasured]
-        normal_G = np.asarray(surface.mesh.vertex_normals)[unmeasured]
+        p_G, normal_G = (np.asarray(each)[unmeasured] for each in (mesh.vertices, mesh.vertex_normals))
         classes[unmeasured] = classes_of(p_G, normal_G, caster, views, rig)
     return classes
 
 
 def coverage_of(mesh: trimesh.Trimesh, views: Sequence[FrameView], rig: RectifiedRig) -> Coverage:
-    """Shares of the closed mesh's area, or of its hull's."""
+    """Shares of the closed mesh's area, or of its hull's, and around which direction most of it lies."""
     closed = bool(mesh.is_volume)
     body = mesh if closed else mesh.convex_hull
     p_G, normal_G = sample_surface(body, SAMPLES)
     classes = classes_of(p_G, normal_G, Caster(body), views, rig)
-    share = [float(np.mean(classes == kind)) for kind in (SEEN_LIT, SEEN_UNLIT, UNSEEN)]
-    around = _common_direction(normal_G, classes == UNSEEN)
+    of, words = "surface" if closed else "convex hull (the mesh is open)", list[str]()
+    share, around = dict[int, float](), dict[int, list[float] | None]()
+    for kind, what in ((SEEN_LIT, ""), (UNSEEN, "never seen"), (SEEN_UNLIT, "seen but never lit")):
+        part = classes == kind
+        share[kind], around[kind] = float(np.mean(part)), None
+        if part.any():
+            mean = normal_G[part].mean(axis=0)
+            length = float(np.linalg.norm(mean))
+            # one direction, if the mean normal is at least 0.6 as long as that of a spherical cap
+            if length >= max(0.6 * (1.0 - share[kind]), 1e-9):
+                around[kind] = [float(each) for each in mean / length]
+        if what and share[kind] >= 0.005:
+            direction = around[kind]
+            where = (
+                "" if direction is None else f", mostly around {describe_direction(np.array(direction))} of G"
+            )
+            words.append(f"{share[kind]:.0%} {'' if words else f'of the {of} '}was {what}{where}")
+    unseen = around[UNSEEN]
     return Coverage(
-        seen=share[0],
-        seen_unlit=share[1],
-        unseen=share[2],
+        seen=share[SEEN_LIT],
+        seen_unlit=share[SEEN_UNLIT],
+        unseen=share[UNSEEN],
         of="mesh" if closed else "hull",
-        unseen_direction_G=None if around is None else (around[0], around[1], around[2]),
-        words=_words(share, around, _common_direction(normal_G, classes == SEEN_UNLIT), closed),
+        unseen_direction_G=None if unseen is None else (unseen[0], unseen[1], unseen[2]),
+        words="; ".join(words) if words else f"all of the {of} was seen in light",
     )
 
 
@@ -79,39 +91,8 @@ def warnings_of(coverage: Coverage) -> list[str]:
     return [coverage.words] if max(coverage.unseen, coverage.seen_unlit) > 0.15 else []
 
 
-def _common_direction(normals: Array, part: Bools) -> list[float] | None:
-    """The unit vector around which a part of the points (n,) faces, or None: it faces all around."""
-    if not part.any():
-        return None
-    mean = normals[part].mean(axis=0)
-    length = float(np.linalg.norm(mean))
-    return (
-        None
-        if length < max(MIN_ONE_SIDED * (1.0 - float(np.mean(part))), 1e-9)
-        else [float(part) for part in mean / length]
-    )
-
-
-def _words(
-    share: Sequence[float], unseen: list[float] | None, unlit: list[float] | None, closed: bool
-) -> str:
-    of = "surface" if closed else "convex hull (the mesh is open)"
-    parts: list[str] = []
-    for part, around, what in ((share[2], unseen, "never seen"), (share[1], unlit, "seen but never lit")):
-        if part >= 0.005:
-            where = (
-                f", mostly around {describe_direction(np.array(around))} of G" if around is not None else ""
-            )
-            parts.append(f"{part:.0%} {'' if parts else f'of the {of} '}was {what}{where}")
-    return "; ".join(parts) if parts else f"all of the {of} was seen in light"
-
-
-MIN_AXIS_SHARE = 0.5
-"""Share of its length that a direction must have along an axis for the axis to be named."""
-
-
 def describe_direction(direction: Array) -> str:
     """``+x``, or ``+x and -z`` where the direction (3,) lies between axes; the largest part first."""
     unit = np.asarray(direction) / max(float(np.linalg.norm(direction)), 1e-300)
-    named = [k for k in np.argsort(-np.abs(unit), kind="stable") if abs(unit[k]) >= MIN_AXIS_SHARE]
+    named = [k for k in np.argsort(-np.abs(unit), kind="stable") if abs(unit[k]) >= 0.5]
     return " and ".join(f"{'+' if unit[k] > 0 else '-'}{'xyz'[k]}" for k in named)

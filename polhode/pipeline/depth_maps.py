@@ -136,30 +136,23 @@ def depth_maps_of(
 
     features: of every pair, of the first feature method; streamed: what a stream of these pairs has found.
     """
+    sequence, rectifier, store = context.sequence, context.rectifier, context.stages
     ranges_px = [range_of_features(each.uvd_px[:, 2]) for each in features]
-    store, keys = context.stages, _depth_keys(context, ranges_px)
+    settings, keys = Frontend(depth=context.config.frontend.depth), [""] * len(ranges_px)
     if streamed is not None and streamed.depth is not None:
         store, keys = streamed.depth, [str(k) for k in range(len(ranges_px))]
-    settings = Frontend(depth=context.config.frontend.depth)
-    maps = DepthMaps(context.sequence, context.rectifier, settings, context.workers, ranges_px, store, keys)
+    elif store.folder is not None:
+        # what a depth map depends on: its images, the range of its disparity, the settings
+        alike = digest_of(replace(rectifier, found=None), settings.with_digests)
+        masks = {} if rectifier.found is None else rectifier.found.encoded
+        keys = [
+            store.key(alike, sequence.digest_of_pair(k), masks.get(k), range_px)
+            for k, range_px in enumerate(ranges_px)
+        ]
     # stored ones stay with this run, even if it does not need to read them
     for key in keys:
         store.has(DEPTH, key)
-    return maps
-
-
-def _depth_keys(context: RunContext, ranges_px: Sequence[DisparityRange]) -> list[str]:
-    """What the depth map of each pair depends on: its images, the range of its disparity, the settings."""
-    sequence, rectifier, stages = context.sequence, context.rectifier, context.stages
-    if stages.folder is None:
-        return [""] * len(ranges_px)
-    settings = Frontend(depth=context.config.frontend.depth).with_digests
-    alike = digest_of(replace(rectifier, found=None), settings)
-    masks = {} if rectifier.found is None else rectifier.found.encoded
-    return [
-        stages.key(alike, sequence.digest_of_pair(k), masks.get(k), range_px)
-        for k, range_px in enumerate(ranges_px)
-    ]
+    return DepthMaps(sequence, rectifier, settings, context.workers, ranges_px, store, keys)
 
 
 def depth_map_of_pair(context: RunContext, pair: RectifiedPair, features: StereoFeatures) -> DepthMap:

@@ -41,10 +41,8 @@ _log = logging.getLogger(__name__)
 T = TypeVar("T")
 Sentences = tuple[str, ...]
 
-MAX_FRAMES, MAX_PIXELS = 60, 40e6
-"""Frames that are read again, and the pixels of all of them together."""
-MARGIN_PX = 6
-"""Around the target in them"""
+Views = tuple[list[FrameView], Sentences]
+"""Frames that are read again, each cropped to the target, and warnings"""
 
 
 @dataclass(frozen=True)
@@ -56,14 +54,6 @@ class FinishedSurface:
     """Lighter meshes, the finest first"""
     findings: ShapeFindings
     """Coverage, closed holes, the Sun, mass against volume; with the warnings of steps that failed"""
-
-
-@dataclass(frozen=True)
-class Views:
-    """Frames that are read again, each cropped to the target."""
-
-    frames: list[FrameView]
-    warnings: Sentences
 
 
 @dataclass(frozen=True)
@@ -109,15 +99,17 @@ def _attempt(what: str, step: Callable[[], T], otherwise: T) -> tuple[T, Sentenc
 @stage("fusion", is_stored=False)
 def views_of_surface(context: RunContext, fused: SurfaceModel, motion: MotionSolution) -> Views:
     """Frames evenly spread over the run, each cropped to the target; none for an empty surface."""
+    none = list[FrameView]()
     if len(fused.mesh.faces) == 0:
-        return Views([], ())
-    X_RG, none = fused_poses(fused, motion), list[FrameView]()
-    return Views(*_attempt("reading the images again", lambda: _views(context, fused, X_RG), none))
+        return none, ()
+    X_RG = fused_poses(fused, motion)
+    return _attempt("reading the images again", lambda: _views(context, fused, X_RG), none)
 
 
 def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[FrameView]:
     rig, R_NR, size = context.rig, context.X_NR[:, :3, :3], (context.rig.width_px, context.rig.height_px)
-    most = int(np.clip(MAX_PIXELS // (size[0] * size[1]), 8, MAX_FRAMES))
+    # of 40 million pixels all together
+    most, margin_px = int(np.clip(40e6 // (size[0] * size[1]), 8, 60)), 6
     usable = np.flatnonzero(np.isfinite(X_RG).all(axis=(1, 2)))
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(len(usable), most)).round().astype(int))]
     corners, views = np.array(list(product(*np.transpose(surface.mesh.bounds)))), []
@@ -126,22 +118,13 @@ def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[Fram
         if corners_R[:, 2].min() <= 1e-3:
             continue
         uv = rig.project(corners_R)[:, :2]
-        u0, v0 = np.maximum(np.floor(uv.min(axis=0)).astype(int) - MARGIN_PX, 0).tolist()
-        u1, v1 = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + MARGIN_PX, size).tolist()
+        u0, v0 = np.maximum(np.floor(uv.min(axis=0)).astype(int) - margin_px, 0).tolist()
+        u1, v1 = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + margin_px, size).tolist()
         if min(u1 - u0, v1 - v0) <= 2:
             continue
         left, mask = rectified_left(context.sequence, context.rectifier, k)
-        views.append(
-            FrameView(
-                image=left[v0:v1, u0:u1].copy(),
-                silhouette=mask[v0:v1, u0:u1].copy(),
-                X_RG=X_RG[k],
-                R_NR=R_NR[k],
-                u0=u0,
-                v0=v0,
-                lit_above=light_level(left),
-            )
-        )
+        image, silhouette = left[v0:v1, u0:u1].copy(), mask[v0:v1, u0:u1].copy()
+        views.append(FrameView(image, silhouette, X_RG[k], R_NR[k], u0, v0, light_level(left)))
     return views
 
 
@@ -150,7 +133,7 @@ def colour_surface(context: RunContext, fused: SurfaceModel, views: Views) -> Co
     """Close small holes, divide the shading out, class the vertices by who has seen them in light."""
     if len(fused.mesh.faces) == 0:
         return Coloured(fused, 0, 0, False, None, 1.0, ())
-    rig, config, frames = context.rig, context.config, views.frames
+    rig, config, frames = context.rig, context.config, views[0]
     seen_by = cache(lambda: Caster(fused.mesh))
     # Relative to the surface itself: the same in every unit.
     largest_m = config.mapping.hole_share * float(np.linalg.norm(fused.mesh.extents))
@@ -190,9 +173,9 @@ def lighter_meshes(context: RunContext, coloured: Coloured) -> tuple[list[Detail
 @stage("fusion")
 def cover(context: RunContext, coloured: Coloured, views: Views) -> tuple[Coverage | None, Sentences]:
     """Shares of the surface that were seen, and the warning of a failure."""
-    if not views.frames:
+    if not views[0]:
         return None, ()
-    return _attempt("coverage", lambda: coverage_of(coloured.surface.mesh, views.frames, context.rig), None)
+    return _attempt("coverage", lambda: coverage_of(coloured.surface.mesh, views[0], context.rig), None)
 
 
 @stage("fusion")
@@ -226,7 +209,7 @@ def describe_shape(
     assumed, doubts = assumed_properties(motion.estimate.mass, surface, context.config.backend)
     if len(mesh.faces) == 0:
         return ShapeFindings(assumed=assumed, warnings=tuple(doubts))
-    failed = *views.warnings, *coloured.warnings, *covered[1], *lighter[1], *compared[1]
+    failed = *views[1], *coloured.warnings, *covered[1], *lighter[1], *compared[1]
     warnings = *doubts, *failed, *(warnings_of(coverage) if coverage is not None else ())
     sun = errors = None
     if (light := coloured.sun) is not None:

@@ -29,11 +29,6 @@ from polhode.records.estimate import InitialMotion, OnlineEstimate
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.runtime.errors import RunFailure
 
-MIN_KEY_FRAMES = 3
-MIN_KEY_VIEWS = 2
-"""Key frames that see a landmark of the map"""
-MIN_OBSERVATIONS = 8
-"""Of landmarks that other key frames see: with fewer, a frame is no key frame."""
 NONE = np.zeros(0, dtype=np.int64)
 NO_LINKS = RelativePoses(NONE, NONE, np.zeros((0, 4, 4)), NONE)
 """The tracks of a stream connect the frames of a long sequence."""
@@ -86,11 +81,11 @@ def solve_long(context: RunContext, streamed: Streamed) -> LongSolution:
     """Key frames, then all frames. Raises RunFailure when no consistent motion is found."""
     config, times_ns = context.config, context.sequence.timestamps_ns
     tracks = _tracks(context, streamed)
-    # those whose poses the window found
+    # those whose poses the window found, with eight observations of landmarks that other key frames see
     seen, every = np.bincount(tracks.frame, minlength=tracks.n_frames), streamed.key_frames
-    good = np.flatnonzero((every >= streamed.found_from) & (seen[every] >= MIN_OBSERVATIONS))
+    good = np.flatnonzero((every >= streamed.found_from) & (seen[every] >= 8))
     keys, features = every[good], [streamed.features[n] for n in good.tolist()]
-    if len(keys) < MIN_KEY_FRAMES:
+    if len(keys) < 3:
         raise RunFailure(f"no consistent motion: only {len(keys)} key frames share landmarks with others")
     _log.info("%d of %d frames are key frames", len(keys), len(times_ns))
     motion = _solve_keys(context, tracks, keys, streamed.online)
@@ -105,13 +100,13 @@ def solve_long(context: RunContext, streamed: Streamed) -> LongSolution:
 
 
 def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
-    """Observations of all frames, of the landmarks that key frames see often enough."""
+    """Observations of all frames, of the landmarks that two key frames see."""
     sequence = context.sequence
     frame = np.repeat(np.arange(len(sequence)), [len(seen.landmark) for seen in streamed.observations])
     label = np.concatenate([seen.landmark for seen in streamed.observations]).astype(np.int64)
     of_keys = np.isin(frame, streamed.key_frames[streamed.key_frames >= streamed.found_from])
     views = np.bincount(label[of_keys], minlength=int(label.max(initial=-1)) + 1)
-    used = np.flatnonzero(views[label] >= MIN_KEY_VIEWS)
+    used = np.flatnonzero(views[label] >= 2)
     landmark = np.unique(label[used], return_inverse=True)[1].reshape(-1)
 
     uvd_px, sigma_px = (
@@ -119,13 +114,8 @@ def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
         for name in ("uvd_px", "sigma_px")
     )
     return StereoTracks(
-        rig=context.rig,
-        timestamps_ns=sequence.timestamps_ns,
-        X_NR=context.X_NR,
-        frame=frame[used].astype(np.int64),
-        landmark=landmark.astype(np.int64),
-        uvd_px=uvd_px,
-        sigma_px=sigma_px,
+        *(context.rig, sequence.timestamps_ns, context.X_NR),
+        *(frame[used].astype(np.int64), landmark.astype(np.int64), uvd_px, sigma_px),
         sigma_camera_p_m=sequence.sigma_camera_p_m,
         sigma_camera_theta_rad=sequence.sigma_camera_theta_rad,
         X_BR=sequence.calibration.X_BC0 @ context.rectifier.X_CR,

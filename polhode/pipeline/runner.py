@@ -31,8 +31,6 @@ from polhode.runtime.progress import Silent
 P = ParamSpec("P")
 T = TypeVar("T")
 Job = Callable[[RunContext], Any]
-NICENESS = 5
-"""Of the other process: what the run waits for goes first."""
 
 
 @dataclass
@@ -83,8 +81,7 @@ class Stage(Generic[P, T]):
 
     def __call__(self, context: RunContext, *inputs: P.args, **named: P.kwargs) -> T:
         """The result as a run passes it on: the same whether it is computed or read."""
-        result = self.make(context, *inputs, **named)
-        return normal(self.kind, result) if self.is_stored else result
+        return self.normal(self.make(context, *inputs, **named))
 
     def __reduce__(self) -> str:
         return self.make.__qualname__
@@ -93,6 +90,10 @@ class Stage(Generic[P, T]):
     def kind(self) -> type[T]:
         """Type of the result, from the annotation of the function."""
         return cast(type[T], get_type_hints(self.make)["return"])
+
+    def normal(self, result: T) -> T:
+        """The result in the form in which it would be read, if it is stored."""
+        return normal(self.kind, result) if self.is_stored else result
 
     def settings(self, config: Config) -> list[tuple[str, Any]]:
         """The settings that the stage declares, by name."""
@@ -269,11 +270,9 @@ class Runner:
                 ready = [each for each in self._results if each.is_ready]
                 if self._failure is not None:
                     # what was found is written all the same
-                    ready = [each for each in ready if each.stage.writes]
+                    ready, among = [each for each in ready if each.stage.writes], None
                     if not ready:
                         raise self._failure
-                    ready[0].is_begun = True
-                    return ready[0]
                 ready.sort(key=lambda each: each not in self._here)
                 if ready and (among is None or ready[0] in among):
                     ready[0].is_begun = True
@@ -307,7 +306,8 @@ class Runner:
         quiet = replace(self.context, progress=Silent())
         work = _Quietly(quiet, logging.getLogger("polhode").getEffectiveLevel())
         try:
-            background: Background[Job, _Found] = Background(work, niceness=NICENESS)
+            # what the run waits for goes first; the first job starts the process
+            background: Background[Job, _Found] = Background(work, niceness=5)
             background.submit(_nothing)
         except OSError as error:
             log_without_processes(error)
@@ -326,7 +326,7 @@ class Runner:
             background.close(kill=not is_complete)
             thread.join()
 
-    def _work_beside(self, background: Background[Job, "_Found"]) -> None:
+    def _work_beside(self, background: "Background[Job, _Found]") -> None:
         items: Iterator[Job] | None = None
         stored_bytes = 0
         while (result := self._next_beside()) is not None:
@@ -346,8 +346,7 @@ class Runner:
                 if is_item:
                     stored_bytes += found.value
                 else:
-                    kind = result.stage.kind
-                    self._settle(result, normal(kind, found.value) if result.stage.is_stored else found.value)
+                    self._settle(result, result.stage.normal(found.value))
             except BaseException as error:  # noqa: BLE001  raised where the result is waited for
                 with self._changed:
                     if is_item:

@@ -4,7 +4,7 @@ The user gives the mass or a density. The volume and the uniform inertia are tho
 convex hull where the mesh is open. The inertia that the motion determines up to scale is scaled by them.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -26,8 +26,6 @@ MIN_LOG_RATIO = 0.03
 """Logarithm of the ratio of two moments of the mesh below which their axes are not distinguishable."""
 MESH_SHARE, MESH_DEG, MESH_K = 0.005, 2.0, 0.02
 """How well a closed mesh determines its centre of volume (share of its size), axes and inertia ratios."""
-MIN_LIDDED_SHARE = 0.3
-"""The volume of an open mesh is unknown if, its openings closed flat, it is a smaller share of its hull."""
 
 
 def assumed_properties(
@@ -48,15 +46,12 @@ def assumed_properties(
         kilograms = density * solid.volume_m3
         source = f"mass {kilograms:.4g} kg: density {density:.6g} kg/m^3 as given (backend.density_kg_m3)"
     known, uniform = mass.identifiable, density * solid.inertia
-    inertia, words = uniform, [solid.words, source]
+    inertia, of_inertia = uniform, "uniform density, as the motion does not determine all ratios and axes"
     if known.k1 and known.k2 and known.axes:
         # the same trace: the sum of the mean square distances does not depend on the axes
         inertia = np.trace(uniform) / np.trace(mass.J_G) * mass.J_G
-        words.append(
-            "inertia: ratios and axes as the motion determines them, scaled to the trace of uniform density"
-        )
-    else:
-        words.append("inertia: uniform density, as the motion does not determine all ratios and axes")
+        of_inertia = "ratios and axes as the motion determines them, scaled to the trace of uniform density"
+    words = [solid.words, source, f"inertia: {of_inertia}"]
     for name in ("k1", "k2", "axes", "com"):
         if not getattr(known, name):
             words.append(f"{name}: uniform density, as the motion does not determine it")
@@ -77,15 +72,6 @@ def assumed_properties(
     return Assumed.model_validate(found), []
 
 
-class _Axes(NamedTuple):
-    """The principal axes that can be compared, and the angle between them."""
-
-    words: str
-    angle_rad: float
-    about_P: Array
-    """(3,) unit vector"""
-
-
 def check_physics(
     mass: MassProperties, surface: SurfaceModel, caster: Caster | None = None
 ) -> Physics | None:
@@ -94,55 +80,55 @@ def check_physics(
     solid, _ = solid_of(mesh, caster)
     if solid is None:
         return None
-    _, R_GP = principal_axes(solid.inertia)
-    k = _ratios(solid)
+    R_GP, k = principal_axes(solid.inertia)[1], _ratios(solid)
     other = solid if mesh.is_volume else _close_openings(mesh)
     words = [f"compared with uniform density in the {solid.words}"]
-    offset_G = com_sigma_m = angle_deg = axes_sigma_deg = None
-    differences: list[float | None] = [None, None]
-    if other.volume_m3 <= MIN_LIDDED_SHARE * solid.volume_m3:
+    found: dict[str, Any] = dict.fromkeys(
+        ("com_offset_G", "com_offset_sigma_m", "axes_angle_deg", "axes_angle_sigma_deg")
+    )
+    found |= {"k1_difference": None, "k2_difference": None}
+    # the volume of an open mesh is unknown if, its openings closed flat, it is a smaller share of its hull
+    if other.volume_m3 <= 0.3 * solid.volume_m3:
         words.append("the hull is too far from the open mesh to compare the motion's mass properties with it")
     else:
         if known.com_P.any():
             # estimate minus uniform, what the motion does not determine left out
             axes_G = mass.R_GP[:, known.com_P]
             offset_G = axes_G @ (axes_G.T @ (mass.com_G - solid.com_G))
-            com_sigma_m = _com_sigma_m(mass, offset_G)
-            size_m = float(np.linalg.norm(mesh.extents))
-            volume_m = max(MESH_SHARE * size_m, float(np.linalg.norm(solid.com_G - other.com_G)))
-            words.append(_com_words(mass, offset_G, com_sigma_m, volume_m, bool(mesh.is_volume)))
+            # with one component undetermined no axis of G may have a finite variance: of those of P
+            sigma_m = _sigma_along(mass.cov_com_G, offset_G)
+            if not np.isfinite(mass.cov_com_G).all():
+                of_P = np.diag(known.sigma[:3][known.com_P] ** 2)
+                sigma_m = _sigma_along(of_P, mass.R_GP.T[known.com_P] @ offset_G)
+            apart_m = float(np.linalg.norm(solid.com_G - other.com_G))
+            volume_m = max(MESH_SHARE * float(np.linalg.norm(mesh.extents)), apart_m)
+            words.append(_com_words(mass, offset_G, sigma_m, volume_m, bool(mesh.is_volume)))
+            found |= {"com_offset_G": offset_G, "com_offset_sigma_m": sigma_m}
         distinct = np.array([k[1] > MIN_LOG_RATIO, k[0] + k[1] > MIN_LOG_RATIO, k[0] > MIN_LOG_RATIO])
         about = known.axes_P & distinct
         if (axes := _between(mass.R_GP, R_GP, about)) is not None:
-            angle_deg = np.rad2deg(axes.angle_rad)
-            axes_sigma_deg = np.rad2deg(_sigma_along(mass.cov_R_GP, axes.about_P))
+            name, angle_rad, about_P = axes
+            sigma_deg = float(np.rad2deg(_sigma_along(mass.cov_R_GP, about_P)))
             closing = _between(R_GP, principal_axes(other.inertia)[1], about)
-            volume_deg = max(
-                MESH_DEG, float(np.rad2deg(closing.angle_rad)) if closing is not None else np.inf
-            )
-            words += _axes_words(axes, axes_sigma_deg, volume_deg)
+            volume_deg = max(MESH_DEG, float(np.rad2deg(closing[1])) if closing is not None else np.inf)
+            words += _axes_words(name, float(np.rad2deg(angle_rad)), sigma_deg, volume_deg)
+            found |= {"axes_angle_deg": np.rad2deg(angle_rad), "axes_angle_sigma_deg": sigma_deg}
         volume_k = max(MESH_K, float(np.abs(np.subtract(k, _ratios(other))).max()))
         for n, name in enumerate(("k1", "k2")):
             if getattr(known, name):
-                differences[n] = difference = getattr(mass, name) - k[n]
+                found[f"{name}_difference"] = difference = getattr(mass, name) - k[n]
                 sigma = float(np.sqrt(mass.cov_k[n, n]))
-                words.append(_ratio_words(name, difference, k[n], sigma, volume_k))
-    return Physics.model_validate(
-        {
-            "words": words,
-            "volume_m3": solid.volume_m3,
-            "com_uniform_G": solid.com_G,
-            "com_offset_G": offset_G,
-            "com_offset_sigma_m": com_sigma_m,
-            "R_GP_uniform": R_GP,
-            "axes_angle_deg": angle_deg,
-            "axes_angle_sigma_deg": axes_sigma_deg,
-            "k1_uniform": k[0],
-            "k2_uniform": k[1],
-            "k1_difference": differences[0],
-            "k2_difference": differences[1],
-        }
-    )
+                least = max(CLEAR_SIGMAS * sigma, volume_k)
+                text = f"{name} agrees with the volume's {k[n]:.3f} within {least:.2g}"
+                if abs(difference) > least:
+                    larger = "larger" if difference > 0.0 else "smaller"
+                    text = (
+                        f"{name} is {abs(difference):.3f} {larger} than the volume's {k[n]:.3f} (sigma "
+                        f"{sigma:.2g}; the volume's known to about {volume_k:.2g})"
+                    )
+                words.append(text)
+    uniform = {"com_uniform_G": solid.com_G, "R_GP_uniform": R_GP, "k1_uniform": k[0], "k2_uniform": k[1]}
+    return Physics.model_validate({"words": words, "volume_m3": solid.volume_m3, **uniform, **found})
 
 
 def _close_openings(mesh: trimesh.Trimesh) -> Solid:
@@ -160,15 +146,6 @@ def _ratios(solid: Solid) -> tuple[float, float]:
     return float(np.log(moments[0] / moments[1])), float(np.log(moments[1] / moments[2]))
 
 
-def _com_sigma_m(mass: MassProperties, offset_G: Array) -> float:
-    """Of the estimate along the offset. With one component undetermined no axis of G may have a finite
-    variance, so it is computed from those of P."""
-    if np.isfinite(mass.cov_com_G).all():
-        return _sigma_along(mass.cov_com_G, offset_G)
-    known = mass.identifiable.com_P
-    return _sigma_along(np.diag(mass.identifiable.sigma[:3][known] ** 2), mass.R_GP.T[known] @ offset_G)
-
-
 def _sigma_along(covariance: Array, direction: Array) -> float:
     """Along a direction (n,), without what is undetermined."""
     unit = direction / max(float(np.linalg.norm(direction)), 1e-300)
@@ -176,61 +153,48 @@ def _sigma_along(covariance: Array, direction: Array) -> float:
     return float(np.sqrt(max(float(unit @ finite @ unit), 0.0)))
 
 
-def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> _Axes | None:
-    """The smallest rotation between axes; ``about`` (3,): the axes about which both determine it.
+def _between(R_GP: Array, R_GP_other: Array, about: Bools) -> tuple[str, float, Array] | None:
+    """The smallest rotation between axes: what is compared, angle [rad], unit vector (3,) in P.
 
-    None: these are too few.
+    ``about`` (3,): the axes about which both determine it. None: these are too few.
     """
     if about.all():
         found = np.array([log_so3(R_GP.T @ (R_GP_other * half_turn)) for half_turn in HALF_TURNS])
         angles = np.linalg.norm(found, axis=1)
         best = int(np.argmin(angles))
-        return _Axes("axes", float(angles[best]), found[best] / max(float(angles[best]), 1e-300))
+        return "axes", float(angles[best]), found[best] / max(float(angles[best]), 1e-300)
     for axis in range(3):
         if np.delete(about, axis).all():
             across = R_GP.T @ np.cross(R_GP[:, axis], R_GP_other[:, axis])
-            angle = float(np.arcsin(min(float(np.linalg.norm(across)), 1.0)))
-            return _Axes(f"axis {'xyz'[axis]}", angle, across / max(float(np.linalg.norm(across)), 1e-300))
+            length = float(np.linalg.norm(across))
+            return f"axis {'xyz'[axis]}", float(np.arcsin(min(length, 1.0))), across / max(length, 1e-300)
     return None
 
 
 def _com_words(mass: MassProperties, offset_G: Array, sigma_m: float, volume_m: float, closed: bool) -> str:
+    def mm(metres: float) -> str:
+        return f"{1e3 * metres:.2g} mm" if metres < 0.1 else f"{1e3 * metres:.0f} mm"
+
     length, least = float(np.linalg.norm(offset_G)), max(CLEAR_SIGMAS * sigma_m, volume_m)
     lost = [axis for axis, flag in zip("xyz", mass.identifiable.com_P, strict=True) if not flag]
     undetermined = f"; along {' and '.join(lost)} of P is not determined by the motion" if lost else ""
     if length <= least:
-        return f"the centre of mass agrees with the volume's centre within {_mm(least)}{undetermined}"
+        return f"the centre of mass agrees with the volume's centre within {mm(least)}{undetermined}"
     return (
-        f"the centre of mass is {_mm(length)} off the volume's centre "
-        f"along {describe_direction(offset_G)} of G "
-        f"(sigma {_mm(sigma_m)}; the volume's centre is known to about {_mm(volume_m)}): "
-        f"mass is not spread evenly{'' if closed else ', or the hull is not the body'}{undetermined}"
+        f"the centre of mass is {mm(length)} off the volume's centre along {describe_direction(offset_G)} of "
+        f"G (sigma {mm(sigma_m)}; the volume's centre is known to about {mm(volume_m)}): mass is not spread "
+        f"evenly{'' if closed else ', or the hull is not the body'}{undetermined}"
     )
 
 
-def _axes_words(axes: _Axes, sigma_deg: float, volume_deg: float) -> list[str]:
-    angle_deg, many = np.rad2deg(axes.angle_rad), axes.words == "axes"
-    least = max(CLEAR_SIGMAS * sigma_deg, volume_deg)
+def _axes_words(name: str, angle_deg: float, sigma_deg: float, volume_deg: float) -> list[str]:
+    many, least = name == "axes", max(CLEAR_SIGMAS * sigma_deg, volume_deg)
     if least > 20.0:
         return []
     if angle_deg <= least:
         verb = "agree" if many else "agrees"
-        return [f"the principal {axes.words} {verb} with the volume's within {least:.2g} deg"]
+        return [f"the principal {name} {verb} with the volume's within {least:.2g} deg"]
     return [
-        f"the principal {axes.words} {'are' if many else 'is'} rotated by {angle_deg:.3g} deg from the "
-        f"volume's (sigma {sigma_deg:.2g} deg; the volume's known to about {volume_deg:.2g} deg)"
+        f"the principal {name} {'are' if many else 'is'} rotated by {angle_deg:.3g} deg from the volume's "
+        f"(sigma {sigma_deg:.2g} deg; the volume's known to about {volume_deg:.2g} deg)"
     ]
-
-
-def _ratio_words(name: str, difference: float, uniform: float, sigma: float, volume_k: float) -> str:
-    least = max(CLEAR_SIGMAS * sigma, volume_k)
-    if abs(difference) <= least:
-        return f"{name} agrees with the volume's {uniform:.3f} within {least:.2g}"
-    return (
-        f"{name} is {abs(difference):.3f} {'larger' if difference > 0.0 else 'smaller'} than the volume's "
-        f"{uniform:.3f} (sigma {sigma:.2g}; the volume's known to about {volume_k:.2g})"
-    )
-
-
-def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.2g} mm" if metres < 0.1 else f"{1e3 * metres:.0f} mm"

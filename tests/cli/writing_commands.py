@@ -34,7 +34,6 @@ from polhode.config import Config
 from polhode.files.atomic import write_text
 from polhode.pipeline.checkout.checkout import Checkout
 from polhode.pipeline.checkout.result import CheckoutResult
-from polhode.pipeline.checkout.timing import Stamps
 from polhode.pipeline.run import RunResult
 from polhode.planning.keep_out.volumes import KeepOutOptions
 from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
@@ -264,8 +263,7 @@ def _calibrated(pairs: ImagePairs) -> CalibratedRig:
 
 def _checked() -> Checkout:
     result = CheckoutResult(status="PASS", pairs=0, pairs_examined=0, rig="sequence", checks=())
-    none = np.zeros(0, dtype=np.int64)
-    return Checkout(result, Stamps(none, none), None)
+    return Checkout(result, None)
 
 
 def _trained(config: Config, train: object, output: Path, *_: object) -> Any:

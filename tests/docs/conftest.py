@@ -13,7 +13,7 @@ from tests.docs.world import small_sequence
 
 QUICK_RUN = (
     *("--frontend.features.second", "None", "--pictures.views", "False", "--pictures.animation", "False"),
-    *("--mapping.voxel-mm", "8", "--runtime.workers", "1"),
+    *("--mapping.voxel-mm", "8", "--frontend.depth.method", "sgbm", "--runtime.workers", "1"),
 )
 """Options that make a run short, besides the small sequence: the answer is that of any run."""
 
@@ -52,7 +52,5 @@ class StoredRuns:
 
 @pytest.fixture(scope="session")
 def runs(make_once: MakeOnce, rendered_sequence: Path) -> StoredRuns:
-    """Runs of a sequence of a few pairs."""
-    return StoredRuns(
-        make_once("docs_sequence", lambda folder: small_sequence(rendered_sequence, folder)), make_once
-    )
+    sequence = make_once("docs_sequence", lambda folder: small_sequence(rendered_sequence, folder))
+    return StoredRuns(sequence, make_once)

@@ -22,7 +22,6 @@ _FENCE = re.compile(
     r"^(?P<indent> *)```(?P<language>\w*)(?: title=\"(?P<title>[^\"]*)\")?\n(?P<body>.*?)^(?P=indent)```$",
     re.MULTILINE | re.DOTALL,
 )
-_SPAN = re.compile(r"(?<!`)`([^`\n]+(?:\n[^`\n]+)?)`(?!`)")
 
 
 @dataclass(frozen=True)
@@ -48,17 +47,11 @@ class Fence:
 
 def fences(page: str) -> list[Fence]:
     """Of a page, in its order; raises ValueError for a fence that is not closed or has another title."""
-    text = (ROOT / "docs" / page).read_text()
-    found = [
-        Fence(
-            page,
-            text.count("\n", 0, match.start()) + 1,
-            match["language"],
-            match["title"] or "",
-            "\n".join(line.removeprefix(match["indent"]) for line in match["body"].splitlines()),
-        )
-        for match in _FENCE.finditer(text)
-    ]
+    text, found = (ROOT / "docs" / page).read_text(), []
+    for match in _FENCE.finditer(text):
+        body = "\n".join(line.removeprefix(match["indent"]) for line in match["body"].splitlines())
+        line = text.count("\n", 0, match.start()) + 1
+        found.append(Fence(page, line, match["language"], match["title"] or "", body))
     if len(re.findall(r"^ *```", text, re.MULTILINE)) != 2 * len(found):
         raise ValueError(f"{page}: a fence is not closed, or its title is not one that the tests know")
     return found
@@ -67,8 +60,8 @@ def fences(page: str) -> list[Fence]:
 def commands_in_text(page: str) -> Iterator[str]:
     """Commands with arguments in the running text and the tables of a page."""
     text = _FENCE.sub("", (ROOT / "docs" / page).read_text())
-    for match in _SPAN.finditer(text):
-        command = " ".join(match[1].split()).replace("\\|", "|")
+    for span in re.findall(r"(?<!`)`([^`\n]+(?:\n[^`\n]+)?)`(?!`)", text):
+        command = " ".join(span.split()).replace("\\|", "|")
         if command.removeprefix(".venv/bin/").split()[0] in PROGRAMS and " " in command:
             yield command
 
@@ -78,5 +71,4 @@ def words_of(command: str) -> list[str]:
     words = shlex.split(command, comments=True)
     if any(word in ("|", "&&", ";", ">", "<") for word in words):
         raise ValueError(f"{command}: one command a line, without pipes and redirections")
-    words[0] = words[0].removeprefix(".venv/bin/")
-    return words
+    return [words[0].removeprefix(".venv/bin/"), *words[1:]]

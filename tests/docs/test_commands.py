@@ -14,7 +14,7 @@ import pytest
 
 from tests.docs.command_check import check, check_mention
 from tests.docs.conftest import QUICK_RUN, StoredRuns, succeed
-from tests.docs.page_code import LEFT_OUT, PAGES, PROGRAMS, Fence, commands_in_text, fences, words_of
+from tests.docs.page_code import LEFT_OUT, PAGES, PROGRAMS, commands_in_text, fences, words_of
 from tests.docs.world import provide
 
 OWN_TESTS = {"api.md": "tests/pipeline/test_api_page.py runs its code from top to bottom"}
@@ -30,11 +30,12 @@ QUICK = {
     ),
 }
 """Options that are added to a command, by its name"""
-
-
-def is_run(fence: Fence) -> bool:
-    """Whether the tests run what stands in a fence."""
-    return fence.language in ("sh", "python") and not fence.left_out
+RUN = {
+    page: [each for each in fences(page) if each.language in ("sh", "python") and not each.left_out]
+    for page in PAGES
+    if page not in OWN_TESTS
+}
+"""Fences that the tests run"""
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -52,15 +53,13 @@ def test_commands_could_be_run_as_they_stand(page: str, monkeypatch: pytest.Monk
 
 
 @pytest.mark.usefixtures("coarse_keep_out")
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if page not in OWN_TESTS and any(map(is_run, fences(page)))]
-)
+@pytest.mark.parametrize("page", [page for page, found in RUN.items() if found])
 def test_the_page_runs_from_top_to_bottom(
     page: str, runs: StoredRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
-    for fence in filter(is_run, fences(page)):
+    for fence in RUN[page]:
         if fence.language == "sh":
             for command in fence.commands():
                 run_command(words_of(command), runs, monkeypatch)
@@ -72,42 +71,34 @@ def test_the_page_runs_from_top_to_bottom(
 
 
 def run_command(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:
-    """Provide what the command reads, then run it in this process."""
+    """Provide what the command reads, then run it in this process.
+
+    What several pages show on the same pairs (``StoredRuns``) is run only once for all of them.
+    """
     for before, word in zip(["", *words], words, strict=False):
         if before not in ("-o", "--output"):
             provide(word, Path.cwd(), runs.sequence, runs.plain)
-    assert words[0] in ("polhode", "python"), f"{' '.join(words)}: give a title that begins with {LEFT_OUT!r}"
-    if words[0] == "polhode":
-        run_polhode(words[1:], runs, patch)
-    else:
-        run_module(words[1:], patch)
-
-
-def run_polhode(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:
-    """Run it; what several pages show on the same pairs (``StoredRuns``) is run only once for all of them."""
-    output = Path(words[words.index("-o") + 1]) if "-o" in words else None
-    stored = runs.of(words)
+    if words[:2] == ["python", "-m"]:
+        patch.setattr(sys, "argv", words[2:])
+        code: object = 0
+        try:
+            runpy.run_module(words[2], run_name="__main__", alter_sys=True)
+        except SystemExit as stop:
+            code = stop.code or 0
+        assert code == 0, f"{' '.join(words)}: exit code {code}"
+        return
+    assert words[0] == "polhode", f"{' '.join(words)}: give a title that begins with {LEFT_OUT!r}"
+    name, output = words[1], Path(words[words.index("-o") + 1]) if "-o" in words else None
+    stored = runs.of(words[1:])
     if stored is not None and output is not None:
-        check(["polhode", *words], patch)
+        check(words, patch)
         shutil.copytree(stored, output, dirs_exist_ok=True)
     else:
         # what a page sets of a run stays; of other commands it is shortened
-        quick = QUICK.get(words[0], ())
-        succeed(["run", *quick, *words[1:]] if words[0] == "run" else [*words, *quick])
-    if words[0] == "simulate" and output is not None:
+        quick = QUICK.get(name, ())
+        succeed([name, *quick, *words[2:]] if name == "run" else [*words[1:], *quick])
+    if name == "simulate" and output is not None:
         # a run needs more than two small pairs
         shutil.rmtree(output)
         output.symlink_to(runs.sequence)
     assert output is None or output.exists(), " ".join(words)
-
-
-def run_module(words: list[str], patch: pytest.MonkeyPatch) -> None:
-    """``-m module`` with its arguments; it must end with 0."""
-    assert words[0] == "-m", f"python {words[0]}: name a module"
-    patch.setattr(sys, "argv", words[1:])
-    code = 0
-    try:
-        runpy.run_module(words[1], run_name="__main__", alter_sys=True)
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    assert code == 0, f"{' '.join(words)}: exit code {code}"

@@ -35,7 +35,7 @@ def site(make_once: MakeOnce) -> Path:
     return make_once("site", build)
 
 
-def test_every_page_is_in_the_navigation_and_the_search(site: Path) -> None:
+def test_every_page_is_in_the_navigation_and_the_search_and_studies_beside_their_tables(site: Path) -> None:
     pages = [page for page in PAGES if page != README]
     navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
     assert [page for page in pages if f" {page}\n" not in navigation] == []
@@ -45,6 +45,12 @@ def test_every_page_is_in_the_navigation_and_the_search(site: Path) -> None:
     # files of the repository are there, but would hide the pages in a search
     assert not any(location.startswith("source/") for location in found)
     assert (site / "source" / "polhode" / "pipeline" / "run.py.html").is_file()
+    folders = sorted((ROOT / "docs" / "study_results").glob("*/"))
+    assert folders
+    for folder in folders:
+        place = site / "study_results" / folder.name
+        assert (place / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
+        assert " points" in (place / "study.html").read_text()
 
 
 def test_pages_load_nothing_from_a_network_and_hold_no_latex(site: Path) -> None:
@@ -56,20 +62,16 @@ def test_pages_load_nothing_from_a_network_and_hold_no_latex(site: Path) -> None
     assert "<math" in (site / "mathematics.html").read_text()
 
 
-def test_studies_have_their_pages_beside_their_tables(site: Path) -> None:
-    folders = sorted((ROOT / "docs" / "study_results").glob("*/"))
-    assert folders
-    for folder in folders:
-        place = site / "study_results" / folder.name
-        assert (place / "table.parquet").read_bytes() == (folder / "table.parquet").read_bytes()
-        assert " points" in (place / "study.html").read_text()
-
-
-def test_a_formula_that_cannot_be_converted_is_an_error_that_names_the_page() -> None:
+def test_formulas_and_links_are_converted() -> None:
     shown = with_mathml(r'<span class="arithmatex">\(J \dot w\)</span>', "a.md")
     assert shown.startswith("<math") and r"\dot" not in shown
     with pytest.raises(ValueError, match=r"a\.md: the formula"):
         with_mathml(r'<span class="arithmatex">\(\nocommand a\)</span>', "a.md")
+    text = "[a](../backend/estimate.py) [b](backend.md#the-problem) [c](https://a.b/c) [d](../CHANGELOG.md)"
+    assert with_site_links(text, "live.md") == (
+        "[a](source/backend/estimate.py.md) [b](backend.md#the-problem) [c](https://a.b/c) [d](changelog.md)"
+    )
+    assert with_site_links("[a](docs/api.md)", "readme.md") == "[a](api.md)"
 
 
 def test_the_reference_has_every_command_and_every_setting() -> None:
@@ -79,11 +81,3 @@ def test_the_reference_has_every_command_and_every_setting() -> None:
     for path, _ in leaves(Config):
         assert f"| `{path[-1]}` |" in settings, path
         assert len(path) == 1 or f"\n## {'.'.join(path[:-1])}\n" in settings, path
-
-
-def test_links_to_files_lead_to_pages_of_the_site() -> None:
-    text = "[a](../backend/estimate.py) [b](backend.md#the-problem) [c](https://a.b/c) [d](../CHANGELOG.md)"
-    assert with_site_links(text, "live.md") == (
-        "[a](source/backend/estimate.py.md) [b](backend.md#the-problem) [c](https://a.b/c) [d](changelog.md)"
-    )
-    assert with_site_links("[a](docs/api.md)", "readme.md") == "[a](api.md)"

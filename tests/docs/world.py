@@ -21,8 +21,6 @@ from tests.docs.page_code import ROOT
 from tests.importers.recordings import original, write_folders
 
 FRAMES = 8
-BOARD_VIEWS = 7
-CAD_FACES = 500
 POSES = "".join(f"{time} 0.0 0.0 {-0.9 + 0.02 * time} 0 0 0 1\n" for time in range(4))
 """A trajectory, TUM format: towards the origin of G along z."""
 
@@ -41,20 +39,19 @@ def provide(word: str, folder: Path, sequence: Path, run: Callable[[], Path]) ->
     """Make what a word names in the folder, if it is a name that the pages take for granted."""
     name = Path(word).parts[0] if word and not word.startswith("-") else ""
     place = folder / name
-    if name == "examples" and not place.exists():
+    if not name or place.exists() or place.is_symlink():
+        return
+    if name == "examples":
         # as the repository has them, but the sample is the small sequence
         place.mkdir()
         for path in (ROOT / "examples").iterdir():
             (place / path.name).symlink_to(sequence if path.name == "sample" else path)
-    if name and not place.exists() and not place.is_symlink():
-        if name in LINKED:
-            place.symlink_to(ROOT / name)
-        elif name == "SEQ":
-            place.symlink_to(sequence)
-        elif name == "RUN":
-            shutil.copytree(run(), place)
-        elif name in MADE:
-            MADE[name](place, sequence)
+    elif name in ("configs", "SEQ"):
+        place.symlink_to(sequence if name == "SEQ" else ROOT / name)
+    elif name == "RUN":
+        shutil.copytree(run(), place)
+    elif name in MADE:
+        MADE[name](place, sequence)
 
 
 def _rig(place: Path, sequence: Path) -> None:
@@ -78,7 +75,7 @@ def _boards(place: Path, sequence: Path) -> None:
         BoardCamera(Lens("brown5", np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *dist[:4], 0.0])), size)
         for K, dist in zip(recorded.K, recorded.dist, strict=True)
     ]
-    for number in range(1, BOARD_VIEWS + 1):
+    for number in range(1, 8):
         X_0B = board_pose(board, random)
         for side, camera, X in (("left", cameras[0], X_0B), ("right", cameras[1], recorded.X_10 @ X_0B)):
             image = camera.picture(picture, X, 0.7, 1.0, np.random.default_rng(number))
@@ -100,18 +97,11 @@ def _part_of(make: Callable[[Path, Path], None], part: str) -> Callable[[Path, P
 def _cad_model(place: Path, sequence: Path) -> None:
     """Another program's model of the body, in millimetres."""
     mesh = trimesh.load_mesh(sequence / "mav0" / "target0" / "mesh.ply")
-    mesh.simplify_quadric_decimation(face_count=CAD_FACES).apply_scale(1000.0).export(place)
+    mesh.simplify_quadric_decimation(face_count=500).apply_scale(1000.0).export(place)
 
 
-def _model(place: Path, sequence: Path) -> None:
-    """Some mesh, in metres."""
-    del sequence
-    trimesh.creation.box((0.3, 0.2, 0.1)).export(place)
-
-
-def _scene(place: Path, sequence: Path) -> None:
+def _scene(place: Path, _: Path) -> None:
     """The configuration that docs/simulation.md shows, and the mesh in millimetres that it names."""
-    del sequence
     page = (ROOT / "docs" / "simulation.md").read_text()
     place.write_text(page.split("```yaml\n")[1].split("```")[0])
     trimesh.creation.box((300.0, 200.0, 100.0)).export(place.with_suffix(".obj"))
@@ -121,13 +111,7 @@ def _recording(place: Path, sequence: Path) -> None:
     write_folders(original(sequence), place)
 
 
-def _poses(place: Path, sequence: Path) -> None:
-    del sequence
-    place.write_text(POSES)
-
-
-LINKED = ("configs",)
-MADE: Mapping[str, Callable[[Path, Path], None]] = {
+MADE: Mapping[str, Callable[[Path, Path], object]] = {
     "RIG": _rig,
     "SOURCE": _finished_folder,
     "board": _boards,
@@ -137,9 +121,9 @@ MADE: Mapping[str, Callable[[Path, Path], None]] = {
     "LEFT": _part_of(_recording, "left"),
     "RIGHT": _part_of(_recording, "right"),
     "model.stl": _cad_model,
-    "model.ply": _model,
+    "model.ply": lambda place, _: trimesh.creation.box((0.3, 0.2, 0.1)).export(place),
     "my_satellite.yaml": _scene,
-    "plan.txt": _poses,
-    "poses.txt": _poses,
+    "plan.txt": lambda place, _: place.write_text(POSES),
+    "poses.txt": lambda place, _: place.write_text(POSES),
 }
 """How to make what the pages name, from the sequence"""

@@ -11,39 +11,19 @@ from examples import inspect_tumbling
 from examples.inspect_tumbling import RADIUS_M, Flight, build, separation
 from polhode.geometry.lie import exp_so3, matrix_from_wxyz, wxyz_from_matrix
 from polhode.geometry.rigid_body import propagate
-from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
 from polhode.records.truth import Truth
-from tests.planning.bodies import ball, estimate
 
 MOMENTS = np.array([1.3e-2, 1.0e-2, 0.8e-2])
 R_GP, COM_G = exp_so3([0.3, 0.1, -0.2]), np.array([0.01, 0.0, -0.02])
-
-
-def truth() -> Truth:
-    one = np.zeros((1, 3))
-    mesh = trimesh.creation.box((0.2, 0.1, 0.05))
-    return Truth(
-        np.zeros(1, dtype=np.int64),
-        one,
-        np.eye(3)[None],
-        one,
-        one,
-        MOMENTS,
-        0.26,
-        0.22,
-        COM_G,
-        R_GP,
-        mesh,
-        4.0,
-    )
+ONE, MESH = np.zeros((1, 3)), trimesh.creation.box((0.2, 0.1, 0.05))
+TRUTH = Truth(
+    np.zeros(1, dtype=np.int64), ONE, np.eye(3)[None], ONE, ONE, MOMENTS, 0.26, 0.22, COM_G, R_GP, MESH, 4.0
+)
 
 
 def test_mujoco_tumbles_as_eulers_equations_say() -> None:
     mujoco = pytest.importorskip("mujoco")
-    volume = keep_out(
-        ball(), estimate((0.0, 0.3, 0.0)), KeepOutOptions(2.0, 0.97, members=100, cells=24)
-    ).instant
-    model = build(truth(), volume)
+    model = build(TRUTH)
     model.opt.timestep = 0.01
     data = mujoco.MjData(model)
     R0, w = exp_so3([0.1, 0.4, 0.2]), np.array([0.3, 1.0, 0.4])
@@ -57,33 +37,26 @@ def test_mujoco_tumbles_as_eulers_equations_say() -> None:
 
 
 def test_the_gap_is_that_to_the_true_surface() -> None:
-    R_NP = exp_so3([0.2, 0.5, -0.1])
+    R_NP, r_N = exp_so3([0.2, 0.5, -0.1]), np.array([0.3, 0.2, 0.1])
     p_G = np.array([0.1 + RADIUS_M + 0.07, 0.02, 0.01])
-    r_N = np.array([0.3, 0.2, 0.1])
     p_N = r_N + R_NP @ (R_GP.T @ (p_G - COM_G))
     flight = Flight(np.zeros(1), p_N[None], r_N[None], wxyz_from_matrix(R_NP)[None], 0)
-    assert separation(flight, truth())[0] == pytest.approx(0.07, abs=2e-4)
+    assert separation(flight, TRUTH)[0] == pytest.approx(0.07, abs=2e-4)
 
 
-def test_without_mujoco_one_line_says_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize("has_mujoco", [False, True])
+def test_without_mujoco_or_truth_one_line_says_so_before_the_planning(
+    has_mujoco: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    monkeypatch.setattr(sys, "argv", ["example", "R", "S", "-o", str(tmp_path)])
-    assert inspect_tumbling.main() == 2
-    assert capsys.readouterr().err == "error: this example needs MuJoCo: pip install 'mujoco>=3.2'\n"
-
-
-def test_a_sequence_without_truth_is_refused_before_the_planning(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    pytest.importorskip("mujoco")
-    planned: list[object] = []
-    monkeypatch.setattr(inspect_tumbling, "keep_out", lambda *each: planned.append(each))
+    if has_mujoco:
+        pytest.importorskip("mujoco")
+    else:
+        monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.setattr(inspect_tumbling, "keep_out", lambda *each: pytest.fail("planned"))
     (tmp_path / "SEQ" / "mav0").mkdir(parents=True)
     words = ["example", str(tmp_path / "RUN"), str(tmp_path / "SEQ"), "-o", str(tmp_path / "out")]
     monkeypatch.setattr(sys, "argv", words)
     assert inspect_tumbling.main() == 2
     stderr = capsys.readouterr().err
-    assert "target0 is missing" in stderr and stderr.count("\n") == 1
-    assert not planned and not (tmp_path / "out").exists()
+    assert ("target0 is missing" if has_mujoco else "needs MuJoCo: pip install") in stderr
+    assert stderr.startswith("error: ") and stderr.count("\n") == 1 and not (tmp_path / "out").exists()

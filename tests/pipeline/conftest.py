@@ -45,20 +45,18 @@ AT_REST = {
     "rig": {"width_px": 240, "height_px": 180, "focal_px": 230.0, "baseline_m": 0.09},
     "render": {"products": []},
 }
-
-
 ONE_METHOD: dict[str, Any] = {
     "runtime": {"workers": 1},
-    "frontend": {"features": {"second": None}},
+    "frontend": {"features": {"second": None}, "depth": {"method": "sgbm"}},
     "mapping": {"voxel_mm": 6.0},
     "pictures": {"animation": False, "views": False},
 }
-"""A run with one method of the front end, without pictures, and with a surface of few voxels"""
-WITHOUT_NETWORKS: dict[str, Any] = {
-    **ONE_METHOD,
-    "frontend": {"features": {"second": None}, "depth": {"method": "sgbm"}},
-}
-"""The same with depth maps that take little time, for what does not depend on them"""
+"""One method of the front end, without networks and pictures, and a surface of few voxels"""
+QUICK = (
+    *("--pictures.animation", "false", "--pictures.views", "false", "--runtime.workers", "1"),
+    *("--frontend.depth.method", "sgbm", "--mapping.voxel-mm", "6"),
+)
+"""Where nothing is asked of pictures and surface"""
 
 
 @dataclass(frozen=True)
@@ -73,21 +71,34 @@ class Example:
 
 @pytest.fixture(scope="session")
 def example() -> Example:
-    """The run of ``make_example``."""
     return make_example()
 
 
 def make_example() -> Example:
     """A box of uniform density, 10 RPM about its unstable axis, 0.6 m away; noise of 0.3 px."""
     random = np.random.default_rng(5)
-    mass = _mass_properties()
+    moments = (BOX_M**2).sum() - BOX_M**2
+    moments = moments / moments[1]
+    yes, com_G = np.ones(3, dtype=bool), np.array([0.003, -0.001, 0.002])
+    mass = MassProperties(
+        J_G=np.diag(moments),
+        moments=moments,
+        k1=float(np.log(moments[0] / moments[1])),
+        k2=float(np.log(moments[1] / moments[2])),
+        cov_k=np.array([[4e-6, -2e-6], [-2e-6, 3.6e-5]]),
+        cov_J=np.eye(5) * 1e-5,
+        R_GP=np.eye(3),
+        cov_R_GP=np.eye(3) * 1e-5,
+        com_G=com_G,
+        cov_com_G=np.eye(3) * 1e-7,
+        identifiable=Identifiability(True, True, True, True, {"k1": "well determined"}, yes, yes, np.ones(8)),
+    )
     timestamps_ns = 1_000_000_000 + 500_000_000 * np.arange(N_FRAMES, dtype=np.int64)
     time_s = (timestamps_ns - timestamps_ns[0]) * 1e-9
     r_N, v_N, R_NP, w_P = propagate(
-        time_s, [0.0, 0.0, 0.6], [0.003, 0.0, 0.0], np.eye(3), [0.05, 1.047, 0.05], np.diag(mass.moments)
+        time_s, [0.0, 0.0, 0.6], [0.003, 0.0, 0.0], np.eye(3), [0.05, 1.047, 0.05], np.diag(moments)
     )
-    R_NG = R_NP @ mass.R_GP.T
-    X_NG = make_pose(R_NG, r_N - R_NG @ mass.com_G)
+    X_NG = make_pose(R_NP, r_N - R_NP @ com_G)
     box = trimesh.creation.box(BOX_M).subdivide().subdivide()
     points, _ = trimesh.sample.sample_surface(box, 150, seed=3)
     tracks, residuals = _tracks(points, X_NG, timestamps_ns, random)
@@ -110,13 +121,59 @@ def make_example() -> Example:
         noise=NoiseLevels(0.3, 0.15, 1e-6, 1e-6),
         solver=SolverOutcome("ipopt", 7, 1234.5, True, 1.02, "Solve_Succeeded", {"sphere": 1234.5}),
     )
-    box.visual.vertex_colors = random.integers(40, 220, (len(box.vertices), 4), dtype=np.uint8)
-    surface = SurfaceModel(
-        box, np.full(len(box.vertices), 8e-4), np.full(len(box.vertices), 9, dtype=np.int64)
-    )
-    eye = np.tile(np.eye(4), (N_FRAMES - 1, 1, 1))
+    count = len(box.vertices)
+    box.visual.vertex_colors = random.integers(40, 220, (count, 4), dtype=np.uint8)
+    surface = SurfaceModel(box, np.full(count, 8e-4), np.full(count, 9, dtype=np.int64))
     i = np.arange(N_FRAMES - 1, dtype=np.int64)
-    return Example(tracks, RelativePoses(i, i + 1, eye, np.full(N_FRAMES - 1, 20)), estimate, surface)
+    relative = RelativePoses(i, i + 1, np.tile(np.eye(4), (len(i), 1, 1)), np.full(len(i), 20))
+    return Example(tracks, relative, estimate, surface)
+
+
+def _tracks(
+    p_G: np.ndarray, X_NG: np.ndarray, timestamps_ns: np.ndarray, random: np.random.Generator
+) -> tuple[StereoTracks, np.ndarray]:
+    """Of the landmarks on the sides that face the camera; and their residuals."""
+    sigma = np.array([0.3, 0.3, 0.15])
+    outward = np.sign(p_G) * (np.abs(np.abs(p_G) - BOX_M / 2) < 1e-6)
+    rows = []
+    for k, X_NGk in enumerate(X_NG):
+        p_N = transform_points(X_NGk, p_G)
+        facing = np.sum((outward @ inverse_pose(X_NGk)[:3, :3]) * p_N, axis=1) < 0.0
+        # One frame without measurements, as after a lost pair.
+        seen = np.flatnonzero(facing) if k != 11 else np.array([], dtype=np.int64)
+        noise = random.normal(size=(len(seen), 3)) * sigma
+        rows.append((np.full(len(seen), k), seen, RIG.project(p_N[seen]) + noise, noise))
+    frame, landmark, uvd_px, residuals = (np.concatenate(each) for each in zip(*rows, strict=True))
+    tracks = StereoTracks(
+        rig=RIG,
+        timestamps_ns=timestamps_ns,
+        X_NR=np.tile(np.eye(4), (len(X_NG), 1, 1)),
+        frame=frame,
+        landmark=landmark,
+        uvd_px=uvd_px,
+        sigma_px=np.tile(sigma, (len(frame), 1)),
+        sigma_camera_p_m=0.001,
+    )
+    return tracks, residuals
+
+
+@pytest.fixture(scope="session")
+def undetermined(example: Example) -> Example:
+    """The same run, had the body spun about one principal axis only."""
+    inf3, flags = np.diag([1e-8, np.inf, 1e-8]), np.array([True, False, True])
+    words = {"k1": "pure spin: no torque-free wobble to see"}
+    lost: dict[str, Any] = {
+        "cov_k": np.diag([np.inf] * 2),
+        "cov_com_G": inf3,
+        "cov_R_GP": inf3,
+        "cov_J": np.full((5, 5), np.nan),
+        "identifiable": Identifiability(False, False, False, False, words, flags, flags, np.full(8, np.inf)),
+    }
+    covariance = example.estimate.covariance.copy()
+    covariance[:, 1, 1] = np.inf
+    covariance[:, 7, :] = np.nan
+    mass = replace(example.estimate.mass, **lost)
+    return replace(example, estimate=replace(example.estimate, mass=mass, covariance=covariance))
 
 
 @pytest.fixture(scope="session")
@@ -133,76 +190,6 @@ def run_of_one_method(rendered_sequence: Path, make_once: MakeOnce, front_end_on
     config = Config.model_validate(ONE_METHOD)
     with front_end_once():
         return make_once("one_method", lambda folder: run(config, rendered_sequence, folder, Silent()))
-
-
-@pytest.fixture(scope="session")
-def undetermined(example: Example) -> Example:
-    """The same run, had the body spun about one principal axis only."""
-    inf2, inf3 = np.diag([np.inf] * 2), np.diag([1e-8, np.inf, 1e-8])
-    flags, words = np.array([True, False, True]), {"k1": "pure spin: no torque-free wobble to see"}
-    known = Identifiability(False, False, False, False, words, flags, flags, np.full(8, np.inf))
-    lost: dict[str, Any] = {
-        "cov_k": inf2,
-        "cov_com_G": inf3,
-        "cov_R_GP": inf3,
-        "cov_J": np.full((5, 5), np.nan),
-    }
-    mass = replace(example.estimate.mass, **lost, identifiable=known)
-    covariance = example.estimate.covariance.copy()
-    covariance[:, 1, 1] = np.inf
-    covariance[:, 7, :] = np.nan
-    return replace(example, estimate=replace(example.estimate, mass=mass, covariance=covariance))
-
-
-def _mass_properties() -> MassProperties:
-    x, y, z = BOX_M
-    moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y])
-    moments = moments / moments[1]
-    yes = np.ones(3, dtype=bool)
-    known = Identifiability(True, True, True, True, {"k1": "well determined"}, yes, yes, np.ones(8))
-    return MassProperties(
-        J_G=np.diag(moments),
-        moments=moments,
-        k1=float(np.log(moments[0] / moments[1])),
-        k2=float(np.log(moments[1] / moments[2])),
-        cov_k=np.array([[4e-6, -2e-6], [-2e-6, 3.6e-5]]),
-        cov_J=np.eye(5) * 1e-5,
-        R_GP=np.eye(3),
-        cov_R_GP=np.eye(3) * 1e-5,
-        com_G=np.array([0.003, -0.001, 0.002]),
-        cov_com_G=np.eye(3) * 1e-7,
-        identifiable=known,
-    )
-
-
-def _tracks(
-    p_G: np.ndarray, X_NG: np.ndarray, timestamps_ns: np.ndarray, random: np.random.Generator
-) -> tuple[StereoTracks, np.ndarray]:
-    sigma = np.array([0.3, 0.3, 0.15])
-    outward = np.sign(p_G) * (np.abs(np.abs(p_G) - BOX_M / 2) < 1e-6)
-    frames, landmarks, uvd, residuals = [], [], [], []
-    for k, X_NGk in enumerate(X_NG):
-        p_N = transform_points(X_NGk, p_G)
-        facing = np.sum((outward @ inverse_pose(X_NGk)[:3, :3]) * p_N, axis=1) < 0.0
-        # One frame without measurements, as after a lost pair.
-        seen = np.flatnonzero(facing) if k != 11 else np.array([], dtype=np.int64)
-        noise = random.normal(size=(len(seen), 3)) * sigma
-        frames.append(np.full(len(seen), k))
-        landmarks.append(seen)
-        uvd.append(RIG.project(p_N[seen]) + noise)
-        residuals.append(noise)
-    frame, landmark = np.concatenate(frames), np.concatenate(landmarks)
-    tracks = StereoTracks(
-        rig=RIG,
-        timestamps_ns=timestamps_ns,
-        X_NR=np.tile(np.eye(4), (len(X_NG), 1, 1)),
-        frame=frame,
-        landmark=landmark,
-        uvd_px=np.concatenate(uvd),
-        sigma_px=np.tile(sigma, (len(frame), 1)),
-        sigma_camera_p_m=0.001,
-    )
-    return tracks, np.concatenate(residuals)
 
 
 def write_example(folder: Path, example: Example, pictures: Mapping[str, bytes] | None = None) -> None:

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
+from polhode.geometry.lie import exp_so3, inverse_pose, make_pose
 from polhode.geometry.rigid_body import propagate
 from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor, write_truth
 from polhode.records.truth import Truth
@@ -22,26 +21,32 @@ def write_sequence(example: Example, folder: Path) -> Path:
     """Silhouettes of the box, all lit, and its truth, 65 s past the last image."""
     motion, mass = example.estimate, example.estimate.mass
     K = np.array([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1]])
-    mav0 = folder / "mav0"
+    mav0, caster = folder / "mav0", RayMeshIntersector(example.surface.mesh)
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - K[0, 2]) / FOCAL_PX, (v - K[1, 2]) / FOCAL_PX, np.ones(u.shape)], -1).reshape(-1, 3)
+    noise = np.random.default_rng(0).integers(0, 4, u.shape)
     for name, shift in (("cam0", 0.0), ("cam1", 0.09)):
         write_sensor(mav0 / name, K, np.zeros(4), make_pose(np.eye(3), [shift, 0, 0]), WIDTH, HEIGHT, 2.0)
         write_camera_csv(mav0 / name, motion.timestamps_ns)
-        for stamp, X_NG in zip(motion.timestamps_ns, motion.X_NG, strict=True):
-            picture = _silhouette(example.surface.mesh, X_NG, K, shift)
+        for stamp, X_GN in zip(motion.timestamps_ns, inverse_pose(motion.X_NG), strict=True):
+            eye, directions = X_GN[:3, :3] @ [shift, 0, 0] + X_GN[:3, 3], rays @ X_GN[:3, :3].T
+            hit = caster.intersects_any(np.broadcast_to(eye, directions.shape), directions)
+            picture = np.asarray(hit.reshape(u.shape) * 120 + noise, dtype=np.uint8)
             write_png(image_path(mav0 / name, int(stamp)), picture)
     ahead_s = np.arange(0.0, 66.0, 1.0)
-    later = propagate(
-        ahead_s, motion.r_N[-1], motion.v_N[-1], motion.R_NP[-1], motion.w_P[-1], np.diag(mass.moments)
-    )
+    last = motion.r_N[-1], motion.v_N[-1], motion.R_NP[-1], motion.w_P[-1]
+    later = propagate(ahead_s, *last, np.diag(mass.moments))
+    seen = motion.r_N, motion.v_N, motion.R_NP, motion.w_P
+    r_N, v_N, R_NP, w_P = (np.concatenate([a, b[1:]]) for a, b in zip(seen, later, strict=True))
     stamps = motion.timestamps_ns[-1] + (ahead_s * 1e9).astype(np.int64)
     box = example.surface.mesh.copy()
     box.apply_transform(X_TRUE_G_G)
     truth = Truth(
         timestamps_ns=np.concatenate([motion.timestamps_ns, stamps[1:]]),
-        r_N=np.concatenate([motion.r_N, later[0][1:]]),
-        v_N=np.concatenate([motion.v_N, later[1][1:]]),
-        R_NP=np.concatenate([motion.R_NP, later[2][1:]]),
-        w_P=np.concatenate([motion.w_P, later[3][1:]]),
+        r_N=r_N,
+        v_N=v_N,
+        R_NP=R_NP,
+        w_P=w_P,
         moments=mass.moments,
         k1=mass.k1,
         k2=mass.k2,
@@ -51,14 +56,3 @@ def write_sequence(example: Example, folder: Path) -> Path:
     )
     write_truth(mav0, truth)
     return folder
-
-
-def _silhouette(mesh: trimesh.Trimesh, X_NG: Array, K: Array, shift_m: float) -> NDArray[np.uint8]:
-    v, u = np.mgrid[:HEIGHT, :WIDTH]
-    rays = np.stack([(u - K[0, 2]) / FOCAL_PX, (v - K[1, 2]) / FOCAL_PX, np.ones(u.shape)], -1)
-    X_GN = inverse_pose(X_NG)
-    eye = X_GN[:3, :3] @ [shift_m, 0, 0] + X_GN[:3, 3]
-    directions = rays.reshape(-1, 3) @ X_GN[:3, :3].T
-    hit = RayMeshIntersector(mesh).intersects_any(np.broadcast_to(eye, directions.shape), directions)
-    noise = np.random.default_rng(0).integers(0, 4, u.shape)
-    return np.asarray(hit.reshape(u.shape) * 120 + noise, dtype=np.uint8)

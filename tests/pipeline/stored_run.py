@@ -9,13 +9,7 @@ from polhode.records.estimate import MotionEstimate, OnlineEstimate
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.report import finish_run
-from polhode.run_directory.outputs import (
-    write_config,
-    write_estimate,
-    write_online_estimate,
-    write_picture,
-    write_surface,
-)
+from polhode.run_directory import outputs
 from polhode.run_directory.summary import build_summary
 from polhode.run_directory.summary_schema import Intervals, Summary
 
@@ -30,7 +24,7 @@ def stored(
     """The folder with the tracks and the estimate of a run and the causal one, as by ``write_run``."""
     folder.mkdir(parents=True, exist_ok=True)
     if online is not None:
-        write_online_estimate(folder, online)
+        outputs.write_online_estimate(folder, online)
     given = {"config": Config(), "timing_s": {}, "tracks": run.tracks, "estimate": run.estimate}
     write_run(folder, surface=surface, **(given | more))
     return folder
@@ -50,12 +44,12 @@ def write_run(
     intervals: Intervals | None = None,
 ) -> Summary:
     """Write what a run writes, stage by stage; ``pictures``: PNG or JPEG by caption."""
-    write_config(folder, config)
-    write_estimate(folder, tracks, estimate, relative)
+    outputs.write_config(folder, config)
+    outputs.write_estimate(folder, tracks, estimate, relative)
     if surface is not None:
-        write_surface(folder, surface)
+        outputs.write_surface(folder, surface)
     for number, (caption, content) in enumerate((pictures or {}).items()):
         suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
-        write_picture(folder, f"{number:02d}{suffix}", content, caption)
+        outputs.write_picture(folder, f"{number:02d}{suffix}", content, caption)
     summary = build_summary(tracks, estimate, surface, timing_s, warnings, intervals=intervals)
     return finish_run(folder, summary)

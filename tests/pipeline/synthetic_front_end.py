@@ -4,6 +4,7 @@ The pictures on disk show nothing of the motion, and are not judged; features, m
 place of what front end and mapping make. All else, from the command line to the report, is the program's own.
 """
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +12,64 @@ import numpy as np
 import pytest
 import trimesh
 
+from polhode.cli.main import main
 from polhode.config.frontend_settings import Frontend
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.geometry.lie import make_pose
 from polhode.records.dataset_writer import write_png, write_sensor
 from polhode.records.surface import SurfaceModel
-from polhode.simulation.monte_carlo import RIG, SyntheticSequence
+from polhode.simulation.monte_carlo import RIG, SyntheticScene, SyntheticSequence, generate
 
+FRAMES = 14
+SCENE = SyntheticScene(
+    frames=FRAMES, landmarks=120, detection=0.7, sigma_uv_px=0.3, sigma_d_px=0.3,
+    J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.2, 0.8, 0.1),
+)  # fmt: skip
+NO_WINDOW = ("--backend.window.enabled", "false")
 NOTHING = StereoFeatures(
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4), dtype=np.float32)
 )
 """What the second method of the front end finds."""
 
 
-def put_in_place(
-    sequence: SyntheticSequence,
-    folder: Path,
-    patch: pytest.MonkeyPatch,
-    second: SyntheticSequence | None = None,
-) -> None:
-    """Write the sequence to the folder; from now on a run sees these measurements.
+class Outcome:
+    """What ``polhode run`` left of the measurements of a scene, and what it said.
 
-    ``second``: what the second method of the front end measures, of the same motion.
+    ``second``: the scene that the second method of the front end measures, of the same motion.
     """
+
+    def __init__(
+        self,
+        place: Path,
+        patch: pytest.MonkeyPatch,
+        capture: pytest.CaptureFixture[str],
+        scene: SyntheticScene,
+        *options: str,
+        seed: int = 1,
+        second: SyntheticScene | None = None,
+    ) -> None:
+        other = None if second is None else generate(second, seed)
+        put_in_place(generate(scene, seed), place / "sequence", patch, other)
+        self.folder = place / f"run{len(list(place.iterdir()))}"
+        words = ["run", "configs/default.yaml", "--data", str(place / "sequence"), "-o", str(self.folder)]
+        pictures = ("--pictures.animation", "false", "--pictures.views", "false")
+        self.code = main([*words, "--runtime.workers", "1", *pictures, *options])
+        self.summary: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        self.warnings: list[str] = self.summary["warnings"]
+        self.files = {path.name for path in self.folder.iterdir()}
+        self.log = (self.folder / "log.txt").read_text()
+        captured = capture.readouterr()
+        self.out, self.errors = captured.out.splitlines(), captured.err.strip().splitlines()
+
+    def says(self, words: str) -> bool:
+        return any(words in warning for warning in self.warnings)
+
+
+def put_in_place(
+    sequence: SyntheticSequence, folder: Path, patch: pytest.MonkeyPatch, second: SyntheticSequence | None
+) -> None:
+    """Write the sequence to the folder; from now on a run sees these measurements."""
     _write(sequence, folder)
     features, matches = _features(sequence), _matches(sequence)
     others, joined = [NOTHING] * len(features), list[PairMatch]()
@@ -50,12 +85,9 @@ def put_in_place(
         these = matches if config.features.method == "rootsift" else joined
         return [[match for match in these if match.i == i] for i in range(len(features))]
 
-    def built(*_: Any, **__: Any) -> SurfaceModel:
-        return surface
-
     patch.setattr("polhode.pipeline.correspondences.extract_features", found)
     patch.setattr("polhode.pipeline.correspondences.match_rows", matched)
-    patch.setattr("polhode.pipeline.build_surface.fuse", built)
+    patch.setattr("polhode.pipeline.build_surface.fuse", lambda *_, **__: surface)
     # of the pictures on disk
     patch.setattr("polhode.pipeline.build_surface.ImageMotion.compare", lambda *_: None)
     patch.setattr("polhode.pipeline.open_run.warn_before_run", lambda *_: None)
@@ -74,8 +106,7 @@ def _write(sequence: SyntheticSequence, folder: Path) -> None:
         for name in names:
             picture[200, 280:360] = rng.integers(60, 250, 80)
             write_png(camera / "data" / name, picture)
-        rows = [f"{Path(name).stem},{name}\n" for name in names]
-        (camera / "data.csv").write_text("".join(rows))
+        (camera / "data.csv").write_text("".join(f"{Path(name).stem},{name}\n" for name in names))
 
 
 def _features(sequence: SyntheticSequence) -> list[StereoFeatures]:
@@ -87,10 +118,8 @@ def _features(sequence: SyntheticSequence) -> list[StereoFeatures]:
     for k in range(tracks.n_frames):
         rows = np.flatnonzero(tracks.frame == k)
         uvd_px, descriptors = tracks.uvd_px[rows], name[tracks.landmark[rows]].astype(np.float32)
-        scale_px = np.ones(len(rows))
-        features.append(
-            StereoFeatures(uvd_px, tracks.sigma_px[rows], RIG.triangulate(uvd_px), scale_px, descriptors)
-        )
+        seen = uvd_px, tracks.sigma_px[rows], RIG.triangulate(uvd_px), np.ones(len(rows))
+        features.append(StereoFeatures(*seen, descriptors))
     return features
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,8 +33,8 @@ def page(
 ) -> SimpleNamespace:
     """The names that the page leaves, its ``folder``, and the ``results`` that its stages have taken.
 
-    What the run of the page needs was computed by ``finished``: it is resumed, and the stages of the page
-    find their results by a digest of all their inputs.
+    The run of the page is resumed from another one, and its stages find their results by a digest of all
+    their inputs.
     """
     folder = tmp_path_factory.mktemp("page")
     (folder / "SEQ").symlink_to(rendered_sequence)
@@ -65,9 +66,10 @@ def page(
     return SimpleNamespace(**{**names, "folder": folder, "results": results})
 
 
-def test_the_code_of_the_page_runs_from_top_to_bottom(page: SimpleNamespace) -> None:
+def test_the_page_runs_and_stage_by_stage_the_files_are_those_of_the_run(
+    page: SimpleNamespace, tmp_path: Path
+) -> None:
     assert page.run.status == "ok" and page.errors["rmse_position_m"] < 2e-3
-    assert [path.name for path in page.files] == ["run.tum"]
     made = {path.name for path in page.folder.iterdir()}
     assert made == {"SEQ", "RUN", "SIMULATED", "motion.tum", "run.tum", "page.py"}
     assert page.results.stored == 0 and page.results.found > 2 * len(page.features)
@@ -78,74 +80,46 @@ def test_the_code_of_the_page_runs_from_top_to_bottom(page: SimpleNamespace) -> 
     # Along what so few frames do not determine, the two forms differ; by much less than the sigmas there.
     assert np.abs(shift_m).max() > 0.0
     assert (np.abs(shift_m) < 0.5 * page.run.trajectory.sigma_r).all()
-
-
-def test_stage_by_stage_the_files_are_those_of_the_run(page: SimpleNamespace, tmp_path: Path) -> None:
     write_trajectory(trajectory_of(page.estimate), tmp_path / "trajectory.csv")
     write_ply(page.finished.surface, tmp_path / "mesh.ply")
     for name in ("trajectory.csv", "mesh.ply"):
         assert (tmp_path / name).read_bytes() == (page.folder / "RUN" / name).read_bytes(), name
 
 
-def test_a_pair_by_itself_gives_what_it_gives_in_the_run(page: SimpleNamespace) -> None:
+def test_a_pair_by_itself_gives_what_it_gives_in_the_run_and_two_frames_the_relative_pose(
+    page: SimpleNamespace,
+) -> None:
     np.testing.assert_array_equal(page.points.uvd_px, page.features[0].uvd_px)
     in_run = next(stages.depth_maps(page.context, page.features))
     np.testing.assert_array_equal(page.depth.depth_m, in_run.depth_m)
     assert page.pair.mask_left.any() and page.pair.left.dtype == np.uint8
     with pytest.raises(InputError, match="pair 14: the sequence has pairs 0 to 13"):
         stages.rectified_pair(page.context, 14)
-
-
-def test_two_frames_by_themselves_have_the_relative_pose_of_the_truth(page: SimpleNamespace) -> None:
     assert (page.match.i, page.match.j) == (0, 1) and len(page.match) > 20
     assert np.rad2deg(np.linalg.norm(log_so3(page.difference[:3, :3]))) < 0.5
     assert np.linalg.norm(page.difference[:3, 3]) < 5e-3
-    with pytest.raises(InputError, match="features of 14 frames for a context of 2"):
-        stages.match_features(page.two, page.features)
-    with pytest.raises(InputError, match="features of 14 frames for a context of 2"):
-        stages.depth_maps(page.two, page.features)
+    for stage in (stages.match_features, stages.depth_maps):
+        with pytest.raises(InputError, match="features of 14 frames for a context of 2"):
+            stage(page.two, page.features)
 
 
-@pytest.mark.parametrize(
-    ("frames", "words"),
-    [
+def test_frames_that_are_none_of_the_context_are_refused(page: SimpleNamespace) -> None:
+    wrong: list[tuple[list[Any], str]] = [
         ([1, 0], "0 follows 1; give each frame once, in ascending order"),
         ([2, 2], "2 follows 2; give each frame once"),
         ([0, 14], "there is no frame 14; the sequence has frames 0 to 13"),
         ([-1, 3], "there is no frame -1;"),
         ([], "give one or more whole numbers"),
         ([0.5], "give one or more whole numbers"),
-    ],
-)
-def test_frames_that_are_none_of_the_context_are_refused(
-    frames: list[int], words: str, page: SimpleNamespace
-) -> None:
-    with pytest.raises(InputError, match=words):
-        page.context.of_frames(frames)
-    for kind in (list, tuple, np.array):
-        some = page.context.of_frames(kind([1, 4]))
-        np.testing.assert_array_equal(some.X_NR, page.context.X_NR[[1, 4]])
+    ]
+    for frames, words in wrong:
+        with pytest.raises(InputError, match=words):
+            page.context.of_frames(frames)
+    some = page.context.of_frames(np.array([1, 4]))
+    np.testing.assert_array_equal(some.X_NR, page.context.X_NR[[1, 4]])
 
 
-def test_records_of_the_front_end_have_the_shapes_of_the_page(page: SimpleNamespace) -> None:
-    features, found = page.features[0], page.correspondences
-    n = len(features)
-    assert n == len(features.uvd_px) == len(features.sigma_px) == len(features.scale_px) > 0
-    np.testing.assert_allclose(features.p_R, page.context.rig.triangulate(features.uvd_px))
-    np.testing.assert_allclose(np.linalg.norm(features.descriptors, axis=1), 1.0, atol=1e-5)
-    links, match = found.links, found.matches[0]
-    assert len(links) == len(links.i) == len(links.X_RiRj) and (links.i < links.j).all()
-    # what the pose of a pair says of its matches: from the camera at j to the one at i
-    assert len(match) == len(match.features) and match.i < match.j
-    p_Ri, p_Rj = (page.features[k].p_R[match.features[:, n]] for n, k in enumerate((match.i, match.j)))
-    moved = transform_points(match.X_RiRj, p_Rj)
-    assert np.median(np.linalg.norm(moved - p_Ri, axis=1)) < 5e-3
-    assert np.median(np.linalg.norm(p_Rj - p_Ri, axis=1)) > 5e-3
-    assert len(page.estimate.landmarks) == len(page.estimate.landmarks.p_G)
-
-
-def test_every_record_and_field_of_the_table_exists(page: SimpleNamespace) -> None:
-    rows = PAGE.read_text().split("| record | field |")[1].split("\n\n")[0].splitlines()[2:]
+def test_records_have_the_fields_of_the_table_and_the_shapes_of_the_page(page: SimpleNamespace) -> None:
     examples = {
         type(each).__name__: each
         for each in (
@@ -154,10 +128,21 @@ def test_every_record_and_field_of_the_table_exists(page: SimpleNamespace) -> No
         )
     }
     record, seen = "", set()
-    for row in rows:
+    for row in PAGE.read_text().split("| record | field |")[1].split("\n\n")[0].splitlines()[2:]:
         name, names = row.split("|")[1:3]
         record = name.strip(" `") or record
         seen.add(record)
         for field in re.findall(r"`(\w+)`", names):
             assert hasattr(examples[record], field), f"{record}.{field}"
     assert seen == set(examples)
+    features, links, match = page.features[0], page.correspondences.links, page.correspondences.matches[0]
+    assert len(features) == len(features.uvd_px) == len(features.sigma_px) == len(features.scale_px) > 0
+    np.testing.assert_allclose(features.p_R, page.context.rig.triangulate(features.uvd_px))
+    np.testing.assert_allclose(np.linalg.norm(features.descriptors, axis=1), 1.0, atol=1e-5)
+    assert len(links) == len(links.i) == len(links.X_RiRj) and (links.i < links.j).all()
+    # what the pose of a pair says of its matches: from the camera at j to the one at i
+    assert len(match) == len(match.features) and match.i < match.j
+    p_Ri, p_Rj = (page.features[k].p_R[match.features[:, n]] for n, k in enumerate((match.i, match.j)))
+    moved = transform_points(match.X_RiRj, p_Rj)
+    assert np.median(np.linalg.norm(moved - p_Ri, axis=1)) < 5e-3
+    assert np.median(np.linalg.norm(p_Rj - p_Ri, axis=1)) > 5e-3

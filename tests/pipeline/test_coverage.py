@@ -7,16 +7,20 @@ import pytest
 import trimesh
 from scipy.optimize import brentq
 
-from polhode.geometry.lie import exp_so3, make_pose
-from polhode.mapping.visibility import MIN_COSINE, Caster
+from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.mapping.visibility import MIN_COSINE, Caster, FrameView
 from polhode.pipeline.coverage import coverage_of, describe_direction, warnings_of, with_classes
 from polhode.records.surface import SEEN_LIT, SEEN_UNLIT, UNSEEN, SurfaceModel
 from tests.mapping.rendered_views import DISTANCE_M, RIG, rendered
 
 RADIUS_M = 0.08
 BALL = trimesh.creation.icosphere(5, RADIUS_M)
-AHEAD = np.array([0.0, 0.0, -1.0])
-X_RG = make_pose(np.eye(3), [0.0, 0.0, DISTANCE_M])
+AHEAD, LEFT = np.array([0.0, 0.0, -1.0]), np.array([-1.0, 0.0, 0.0])
+
+
+def view(sun_R: Array = AHEAD, R: Array | None = None, ambient: float = 0.5) -> FrameView:
+    X_RG = make_pose(np.eye(3) if R is None else R, [0.0, 0.0, DISTANCE_M])
+    return rendered(BALL, X_RG, sun_R, lambda p: np.full(len(p), 200.0), ambient)
 
 
 def visible_share() -> float:
@@ -31,57 +35,39 @@ def visible_share() -> float:
 
 
 def test_a_sphere_seen_from_one_side_is_covered_by_its_visible_share() -> None:
-    view = rendered(BALL, X_RG, AHEAD, lambda p: np.full(len(p), 200.0), ambient=0.5)
-    found = coverage_of(BALL, [view], RIG)
+    found = coverage_of(BALL, [view()], RIG)
     assert found.of == "mesh" and found.seen == pytest.approx(visible_share(), abs=0.015)
     assert found.seen_unlit == 0.0 and found.unseen == pytest.approx(1.0 - found.seen, abs=1e-9)
     # the camera stands on the side of -z
     assert found.unseen_direction_G is not None and found.unseen_direction_G[2] > 0.99
     assert found.words.endswith("of the surface was never seen, mostly around +z of G")
     assert warnings_of(found) == [found.words]
-
-
-def test_the_dark_side_is_seen_but_never_lit() -> None:
-    from_the_left = np.array([-1.0, 0.0, 0.0])
-    view = rendered(BALL, X_RG, from_the_left, lambda p: np.full(len(p), 200.0))
-    found = coverage_of(BALL, [view], RIG)
-    assert found.seen + found.seen_unlit == pytest.approx(visible_share(), abs=0.015)
-    # a little more than half of it lies in the dark: dim light along the terminator shows nothing
-    assert found.seen_unlit == pytest.approx(0.5 * visible_share(), abs=0.05)
-    assert "seen but never lit, mostly around" in found.words and "+x" in found.words.split(";")[1]
-
-
-def test_all_around_leaves_nothing_unseen() -> None:
+    # an open mesh is measured on its hull, whose flat side is a third of the area
+    half = trimesh.Trimesh(BALL.vertices, BALL.faces[BALL.triangles_center[:, 2] < 0.0], process=False)
+    found = coverage_of(half, [view()], RIG)
+    assert found.of == "hull" and "mesh is open" in found.words and found.unseen > 1.0 / 3.0 - 0.02
     turns = [exp_so3([0.0, 1.2 * k, 0.0]) for k in range(6)] + [exp_so3([a, 0.0, 0.0]) for a in (1.5, -1.5)]
-    views = [
-        rendered(BALL, make_pose(R, [0.0, 0.0, DISTANCE_M]), AHEAD, lambda p: np.full(len(p), 99.0), 0.5)
-        for R in turns
-    ]
-    found = coverage_of(BALL, views, RIG)
+    found = coverage_of(BALL, [view(R=R) for R in turns], RIG)
     assert found.seen == 1.0 and found.words == "all of the surface was seen in light"
     assert warnings_of(found) == []
 
 
-def test_an_open_mesh_is_measured_on_its_hull() -> None:
-    half = trimesh.Trimesh(BALL.vertices, BALL.faces[BALL.triangles_center[:, 2] < 0.0], process=False)
-    view = rendered(BALL, X_RG, AHEAD, lambda p: np.full(len(p), 200.0), ambient=0.5)
-    found = coverage_of(half, [view], RIG)
-    # the flat side is a third of the area of the half sphere's hull
-    assert found.of == "hull" and "mesh is open" in found.words
-    assert found.unseen > 1.0 / 3.0 - 0.02
-
-
-def test_invented_vertices_get_a_class_and_measured_ones_were_lit() -> None:
-    view = rendered(BALL, X_RG, np.array([-1.0, 0.0, 0.0]), lambda p: np.full(len(p), 200.0))
+def test_the_dark_side_is_seen_but_never_lit_and_vertices_get_their_class() -> None:
+    dim = view(LEFT, ambient=0.0)
+    found = coverage_of(BALL, [dim], RIG)
+    assert found.seen + found.seen_unlit == pytest.approx(visible_share(), abs=0.015)
+    # a little more than half of it lies in the dark: dim light along the terminator shows nothing
+    assert found.seen_unlit == pytest.approx(0.5 * visible_share(), abs=0.05)
+    assert "seen but never lit, mostly around" in found.words and "+x" in found.words.split(";")[1]
     n = len(BALL.vertices)
     surface = SurfaceModel(BALL, np.full(n, np.inf), np.zeros(n, dtype=np.int64))
-    classes = with_classes(surface, [view], RIG, Caster(BALL))
+    classes = with_classes(surface, [dim], RIG, Caster(BALL))
     x, z = BALL.vertices[:, 0] / RADIUS_M, BALL.vertices[:, 2] / RADIUS_M
     assert np.all(classes[(z < -0.6) & (x < -0.25)] == SEEN_LIT)
     assert np.all(classes[(z < -0.6) & (x > 0.1)] == SEEN_UNLIT)
     assert np.all(classes[z > 0.0] == UNSEEN)
     measured = replace(surface, views=np.ones(n, dtype=np.int64))
-    assert np.all(with_classes(measured, [view], RIG, Caster(BALL)) == SEEN_LIT)
+    assert np.all(with_classes(measured, [dim], RIG, Caster(BALL)) == SEEN_LIT)
 
 
 def test_directions_are_named_by_their_axes() -> None:

@@ -16,8 +16,7 @@ SIZE = 90, 120
 
 
 def depth_map(seed: int) -> DepthMap:
-    rng = np.random.default_rng(seed)
-    target = np.zeros(SIZE, dtype=np.bool_)
+    rng, target = np.random.default_rng(seed), np.zeros(SIZE, dtype=np.bool_)
     target[40:60, 50:85] = True
     known = target & (rng.random(SIZE) > 0.3)
     depth_m, sigma_m = (np.where(known, rng.random(SIZE), np.nan).astype(np.float32) for _ in range(2))
@@ -29,29 +28,22 @@ def assert_equal(found: DepthMap, wanted: DepthMap) -> None:
         np.testing.assert_array_equal(getattr(found, each.name), getattr(wanted, each.name))
 
 
-def stored(folder: Path, depth: DepthMap) -> tuple[DepthMap, int]:
-    """What is read again, and the size of its file [bytes]."""
-    store = StageStore(folder)
-    size = store.put(DEPTH, "3", PackedDepth.of(depth))
-    found = StageStore(folder).find(DEPTH, "3", PackedDepth)
-    assert found is not None
-    return found.unpacked(), size
-
-
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
-    depth = depth_map(1)
-    found, size = stored(tmp_path, depth)
+    depth, nothing = depth_map(1), np.full(SIZE, np.nan, dtype=np.float32)
+    empty = replace(depth, depth_m=nothing, sigma_m=nothing, target=np.zeros(SIZE, dtype=np.bool_))
+    store = StageStore(tmp_path)
+    size = store.put(DEPTH, "3", PackedDepth.of(depth))
     assert size < 8 * np.isfinite(depth.depth_m).sum() + 10_000
+    store.put(DEPTH, "4", PackedDepth.of(empty))
+    found, without = (StageStore(tmp_path).find(DEPTH, key, PackedDepth) for key in "34")
+    assert found is not None and without is not None
     part = np.s_[40 - MARGIN_PX : 60 + MARGIN_PX, 50 - MARGIN_PX : 85 + MARGIN_PX]
-    np.testing.assert_array_equal(found.intensity[part], depth.intensity[part])
-    assert not np.delete(found.intensity, np.r_[part[0]], axis=0).any()
-    assert_equal(replace(found, intensity=depth.intensity), depth)
-
-
-def test_a_pair_without_the_target_is_stored_too(tmp_path: Path) -> None:
-    nothing = np.full(SIZE, np.nan, dtype=np.float32)
-    empty = replace(depth_map(1), depth_m=nothing, sigma_m=nothing, target=np.zeros(SIZE, dtype=np.bool_))
-    assert_equal(stored(tmp_path, empty)[0], replace(empty, intensity=np.zeros(SIZE, dtype=np.uint8)))
+    intensity = found.unpacked().intensity
+    np.testing.assert_array_equal(intensity[part], depth.intensity[part])
+    assert not np.delete(intensity, np.r_[part[0]], axis=0).any()
+    assert_equal(replace(found.unpacked(), intensity=depth.intensity), depth)
+    # a pair without the target is stored, too
+    assert_equal(without.unpacked(), replace(empty, intensity=np.zeros(SIZE, dtype=np.uint8)))
 
 
 def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +60,7 @@ def test_only_what_is_not_stored_is_computed(tmp_path: Path, monkeypatch: pytest
     without = list(maps)
     for k in (0, 2):
         store.put(DEPTH, str(k), PackedDepth.of(whole[k]))
-    maps = replace(maps, store=store, keys=list(map(str, range(4))))
+    maps = replace(maps, store=store, keys=list("0123"))
     assert len(list(maps.jobs())) == 2
     for found, wanted in zip(maps, without, strict=True):
         assert_equal(found, wanted)

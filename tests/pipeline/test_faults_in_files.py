@@ -14,6 +14,7 @@ from polhode.records.estimate import OnlineEstimate
 from polhode.records.truth import Truth
 from polhode.run_directory.outputs import write_online_estimate
 from polhode.run_directory.summary import read_summary, with_files, write_summary
+from tests.conftest import TIMESTAMPS_NS
 from tests.pipeline.conftest import Example
 from tests.pipeline.stored_run import write_run
 
@@ -59,6 +60,30 @@ def repeated(file: Path) -> None:
     file.write_text("\n".join([*lines[:3], lines[2], *lines[3:]]) + "\n")
 
 
+def shortened(file: Path) -> None:
+    file.write_text("\n".join(file.read_text().splitlines()[:4]))
+
+
+def array(name: str, value: float) -> Damage:
+    """Put a value into an array of an archive."""
+
+    def damage(file: Path) -> None:
+        with np.load(file) as archive:
+            arrays = dict(archive)
+        spoilt = arrays[name].astype(float)
+        spoilt.flat[0] = value
+        np.savez(file, **{**arrays, name: spoilt})
+
+    return damage
+
+
+def point(file: Path) -> None:
+    """NaN as the first coordinate of a cloud or a mesh."""
+    head, mark, body = file.read_bytes().partition(b"end_header\n")
+    nan = np.array([np.nan], dtype="<f8" if b"property double x" in head else "<f4").tobytes()
+    file.write_bytes(head + mark + nan + body[len(nan) :])
+
+
 IN_SEQUENCE: tuple[tuple[str, Damage, str], ...] = (
     ("cam0/data.csv", repeated, "line 4: timestamp 1600000000500000000 repeats"),
     ("cam1/data.csv", repeated, "repeats"),
@@ -78,24 +103,16 @@ IN_SEQUENCE: tuple[tuple[str, Damage, str], ...] = (
 )
 
 
-@pytest.fixture
-def whole_sequence(small_sequence: Path) -> Path:
-    """With all optional tables."""
-    mav0 = small_sequence / "mav0"
-    stamps = np.array([int(path.stem) for path in sorted((mav0 / "cam0" / "data").iterdir())])
-    write_inspector(mav0, stamps, np.tile(np.eye(4), (len(stamps), 1, 1)), sigma_p_m=0.001)
-    write_wrench(mav0, stamps, np.zeros((len(stamps), 3)), np.zeros((len(stamps), 3)))
-    return small_sequence
-
-
 @pytest.mark.parametrize(("where", "damage", "words"), IN_SEQUENCE)
 def test_a_table_or_calibration_is_refused_and_nothing_is_written(
-    whole_sequence: Path, tmp_path: Path, capsys: Capture, where: str, damage: Damage, words: str
+    small_sequence: Path, tmp_path: Path, capsys: Capture, where: str, damage: Damage, words: str
 ) -> None:
-    file = whole_sequence / "mav0" / where
-    damage(file)
-    arguments = ["run", "configs/default.yaml", "--data", str(whole_sequence), "-o", str(tmp_path / "run")]
-    refused(arguments, file, words, capsys)
+    mav0, n = small_sequence / "mav0", len(TIMESTAMPS_NS)
+    write_inspector(mav0, TIMESTAMPS_NS, np.tile(np.eye(4), (n, 1, 1)), sigma_p_m=0.001)
+    write_wrench(mav0, TIMESTAMPS_NS, np.zeros((n, 3)), np.zeros((n, 3)))
+    damage(mav0 / where)
+    arguments = ["run", "configs/default.yaml", "--data", str(small_sequence), "-o", str(tmp_path / "run")]
+    refused(arguments, mav0 / where, words, capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["sequence"]
 
 
@@ -107,47 +124,18 @@ def test_a_table_or_calibration_is_refused_and_nothing_is_written(
         ("backend: {max_seconds: .inf}", "backend.max_seconds"),
     ],
 )
-def test_a_configuration_is_refused(
-    small_sequence: Path, tmp_path: Path, capsys: Capture, content: str, key: str
-) -> None:
+def test_a_configuration_is_refused(tmp_path: Path, capsys: Capture, content: str, key: str) -> None:
     config = tmp_path / "config.yaml"
     config.write_text(content + "\n")
-    arguments = ["run", str(config), "--data", str(small_sequence), "-o", str(tmp_path / "run")]
+    arguments = ["run", str(config), "--data", str(tmp_path), "-o", str(tmp_path / "run")]
     refused(arguments, config, key, capsys)
     assert not (tmp_path / "run").exists()
 
 
-def array(name: str, value: float) -> Damage:
-    """Put a value into an array of an archive."""
-
-    def damage(file: Path) -> None:
-        with np.load(file) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        spoilt = arrays[name].astype(float)
-        spoilt.flat[0] = value
-        np.savez(file, **{**arrays, name: spoilt})
-
-    return damage
-
-
-def point(file: Path) -> None:
-    """NaN as the first coordinate of a cloud or a mesh."""
-    head, mark, body = file.read_bytes().partition(b"end_header\n")
-    kind = "<f8" if b"property double x" in head else "<f4"
-    nan = np.array([np.nan], dtype=kind).tobytes()
-    file.write_bytes(head + mark + nan + body[len(nan) :])
-
-
 REPORT, PREDICT, EVALUATE = "report", "predict", "evaluate"
-NAN = "NaN or infin"
-
-
-def shortened(path: Path) -> None:
-    path.write_text("\n".join(path.read_text().splitlines()[:4]))
-
-
-ALL, TABLES = (REPORT, PREDICT, EVALUATE), "measurements.npz"
-IN_RUN: tuple[tuple[str, Damage, str, tuple[str, ...]], ...] = (
+ALL, TABLES, NAN = (REPORT, PREDICT, EVALUATE), "run/measurements.npz", "NaN or infin"
+TRUTH = "sequence/mav0/target0"
+STORED: tuple[tuple[str, Damage, str, tuple[str, ...]], ...] = (
     (TABLES, array("uvd_px", np.nan), f"uvd_px holds {NAN}", (REPORT,)),
     (TABLES, array("sigma_px", np.inf), f"sigma_px holds {NAN}", (REPORT,)),
     (TABLES, array("X_NR", np.nan), f"X_NR holds {NAN}", (REPORT,)),
@@ -155,24 +143,28 @@ IN_RUN: tuple[tuple[str, Damage, str, tuple[str, ...]], ...] = (
     (TABLES, array("rig_focal_px", np.nan), f"rig_focal_px holds {NAN}", (REPORT,)),
     (TABLES, array("frame", np.nan), "frame holds float64", (REPORT,)),
     (TABLES, array("residuals_px", np.nan), f"residuals_px holds {NAN}", (REPORT,)),
-    ("trajectory.csv", cell(3, 1, "nan"), "line 5: a state that is NaN", ALL),
-    ("trajectory.csv", cell(3, -1, "nan"), "line 5: a standard deviation", ALL),
-    ("trajectory.csv", cell(3, 0, "nan"), "timestamp 'nan' is not a whole number", ALL),
-    ("trajectory.csv", shortened, "trajectory.csv: not the file that this run wrote", ALL),
-    ("covariance.npz", array("covariance", np.nan), "holds NaN", ALL),
-    ("covariance.npz", array("last_body", np.inf), "last_body holds NaN", (REPORT, PREDICT)),
-    ("summary.json", text('"k1": ', '"k1": NaN, "_": '), "NaN is no number of JSON", ALL),
-    ("online.npz", array("r_N", np.nan), "r_N holds NaN in row 0", (REPORT,)),
-    ("landmarks.ply", point, "NaN or infinity in point 0", (REPORT,)),
-    ("mesh.ply", point, "NaN or infinite", (REPORT, EVALUATE)),
-    ("config.yaml", text("accel_psd: ", "accel_psd: .nan #"), "accel_psd", (PREDICT, EVALUATE)),
+    ("run/trajectory.csv", cell(3, 1, "nan"), "line 5: a state that is NaN", ALL),
+    ("run/trajectory.csv", cell(3, -1, "nan"), "line 5: a standard deviation", ALL),
+    ("run/trajectory.csv", cell(3, 0, "nan"), "timestamp 'nan' is not a whole number", ALL),
+    ("run/trajectory.csv", shortened, "trajectory.csv: not the file that this run wrote", ALL),
+    ("run/covariance.npz", array("covariance", np.nan), "holds NaN", ALL),
+    ("run/covariance.npz", array("last_body", np.inf), "last_body holds NaN", (REPORT, PREDICT)),
+    ("run/summary.json", text('"k1": ', '"k1": NaN, "_": '), "NaN is no number of JSON", ALL),
+    ("run/online.npz", array("r_N", np.nan), "r_N holds NaN in row 0", (REPORT,)),
+    ("run/landmarks.ply", point, "NaN or infinity in point 0", (REPORT,)),
+    ("run/mesh.ply", point, "NaN or infinite", (REPORT, EVALUATE)),
+    ("run/config.yaml", text("accel_psd: ", "accel_psd: .nan #"), "accel_psd", (PREDICT, EVALUATE)),
+    (f"{TRUTH}/data.csv", cell(2, 1, "nan"), "line 4: NaN or infinity", (EVALUATE,)),
+    (f"{TRUTH}/data.csv", repeated, "repeats", (EVALUATE,)),
+    (f"{TRUTH}/target.yaml", text("k1: ", "k1: .nan #"), "'k1': contains NaN", (EVALUATE,)),
+    (f"{TRUTH}/mesh.ply", point, "contains NaN or infinity", (EVALUATE,)),
 )
 
 
 @pytest.fixture(scope="module")
-def finished(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """RUN and SEQ with the truth alone, which is the estimate."""
-    folder = tmp_path_factory.mktemp("finished")
+def run_and_truth(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """run/ and sequence/ with the truth alone, which is the estimate."""
+    folder = tmp_path_factory.mktemp("stored")
     (folder / "run").mkdir()
     motion, mass = example.estimate, example.estimate.mass
     write_run(
@@ -197,43 +189,20 @@ def finished(example: Example, tmp_path_factory: pytest.TempPathFactory) -> Path
     return folder
 
 
-@pytest.fixture
-def run_and_truth(finished: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(finished, tmp_path / "copy"))
-
-
-def command(name: str, folder: Path) -> list[str]:
-    run = str(folder / "run")
-    return {
-        REPORT: ["report", run, "-o", str(folder / "page.html")],
-        PREDICT: ["predict", run, "--horizon", "5", "-o", str(folder / "ahead.csv")],
-        EVALUATE: ["evaluate", run, str(folder / "sequence")],
-    }[name]
-
-
-@pytest.mark.parametrize(("where", "damage", "words", "commands"), IN_RUN)
-def test_a_file_of_a_run_is_refused_by_every_command_that_reads_it(
-    run_and_truth: Path, capsys: Capture, where: str, damage: Damage, words: str, commands: tuple[str, ...]
-) -> None:
-    damage(run_and_truth / "run" / where)
+@pytest.mark.parametrize(("where", "damage", "words", "commands"), STORED)
+def test_a_file_of_a_run_or_of_the_truth_is_refused_by_every_command_that_reads_it(
+    run_and_truth: Path, tmp_path: Path, capsys: Capture, where: str, damage: Damage, words: str,
+    commands: tuple[str, ...],
+) -> None:  # fmt: skip
+    shutil.copytree(run_and_truth, tmp_path, dirs_exist_ok=True)
+    damage(tmp_path / where)
+    run = str(tmp_path / "run")
+    lines = {
+        REPORT: ["report", run, "-o", str(tmp_path / "page.html")],
+        PREDICT: ["predict", run, "--horizon", "5", "-o", str(tmp_path / "ahead.csv")],
+        EVALUATE: ["evaluate", run, str(tmp_path / "sequence")],
+    }
     for each in commands:
-        refused(command(each, run_and_truth), run_and_truth / "run" / where, words, capsys)
+        refused(lines[each], tmp_path / where, words, capsys)
     made = ("page.html", "ahead.csv", "run/metrics.json")
-    assert not any((run_and_truth / file).exists() for file in made)
-
-
-@pytest.mark.parametrize(
-    ("where", "damage", "words"),
-    [
-        ("data.csv", cell(2, 1, "nan"), "line 4: NaN or infinity"),
-        ("data.csv", repeated, "repeats"),
-        ("target.yaml", text("k1: ", "k1: .nan #"), "'k1': contains NaN"),
-        ("mesh.ply", point, "contains NaN or infinity"),
-    ],
-)
-def test_the_truth_is_refused(
-    run_and_truth: Path, capsys: Capture, where: str, damage: Damage, words: str
-) -> None:
-    file = run_and_truth / "sequence" / "mav0" / "target0" / where
-    damage(file)
-    refused(command(EVALUATE, run_and_truth), file, words, capsys)
+    assert not any((tmp_path / file).exists() for file in made)

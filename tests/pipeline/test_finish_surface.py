@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from trimesh.visual import ColorVisuals
 
 from polhode.config import Config
 from polhode.config.mapping_settings import Mapping
@@ -20,77 +19,70 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.finish_surface import finish_surface
 from polhode.records.surface import SurfaceModel
 from polhode.report import finish_run
-from polhode.run_directory.outputs import write_config, write_estimate, write_surface
+from polhode.run_directory import outputs
 from polhode.run_directory.summary import build_summary
 from polhode.run_directory.summary_schema import ShapeFindings
 from polhode.runtime.progress import Silent
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
 CONFIG = Config(mapping=Mapping(hole_share=0.08))
+BALL = trimesh.creation.icosphere(4, 0.08)
+Finished = tuple[SurfaceModel, list[DetailLevel], ShapeFindings]
 
 
-def finished(
-    surface: SurfaceModel, seen: Any, example: Any, config: Config = CONFIG
-) -> tuple[SurfaceModel, list[DetailLevel], ShapeFindings]:
-    sequence, rectifier, X_RG = seen
-    context = RunContext(sequence, rectifier, config, Silent())
-    motion: Any = SimpleNamespace(X_RG=X_RG, estimate=example.estimate)
-    made = finish_surface(context, surface, motion)
-    return made.surface, made.levels, made.findings
-
-
-@pytest.fixture
+@pytest.fixture(scope="module")
 def opened() -> SurfaceModel:
-    ball = trimesh.creation.icosphere(4, 0.08)
-    near = np.linalg.norm(ball.triangles_center - np.array([0.08, 0.0, 0.0]), axis=1) < 0.006
-    mesh = trimesh.Trimesh(ball.vertices, ball.faces[~near], process=False)
+    near = np.linalg.norm(BALL.triangles_center - np.array([0.08, 0.0, 0.0]), axis=1) < 0.006
+    mesh = trimesh.Trimesh(BALL.vertices, BALL.faces[~near], process=False)
     mesh.remove_unreferenced_vertices()
-    mesh.visual = ColorVisuals(mesh, vertex_colors=np.full((len(mesh.vertices), 4), 80, dtype=np.uint8))
     n = len(mesh.vertices)
+    mesh.visual.vertex_colors = np.full((n, 4), 80, dtype=np.uint8)
     return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
 
 
+@pytest.fixture(scope="module")
+def views() -> list[Any]:
+    sun_R = np.array([0.4, -0.3, -0.86])
+    return [rendered(BALL, X, sun_R, lambda p: 150 + 0 * p[:, 0]) for X in tumbling(12)]
+
+
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A sequence and a rectifier of nothing but their frames, and the poses."""
-    poses = np.stack(tumbling(12))
-    views = [
-        rendered(
-            trimesh.creation.icosphere(4, 0.08), X, np.array([0.4, -0.3, -0.86]), lambda p: 150 + 0 * p[:, 0]
-        )
-        for X in poses
-    ]
+def finished(views: list[Any], example: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """What finishes a surface, of a sequence and a rectifier of nothing but their frames."""
     monkeypatch.setattr(module, "_views", lambda *_: views)
-    eye = np.tile(np.eye(4), (12, 1, 1))
-    return SimpleNamespace(X_NC=eye), SimpleNamespace(X_CR=np.eye(4), rig=RIG), poses
+    sequence: Any = SimpleNamespace(X_NC=np.tile(np.eye(4), (12, 1, 1)))
+    rectifier: Any = SimpleNamespace(X_CR=np.eye(4), rig=RIG)
+    motion: Any = SimpleNamespace(X_RG=np.stack(tumbling(12)), estimate=example.estimate)
+
+    def finish(surface: SurfaceModel, config: Config = CONFIG) -> Finished:
+        made = finish_surface(RunContext(sequence, rectifier, config, Silent()), surface, motion)
+        return made.surface, made.levels, made.findings
+
+    return finish
 
 
-def test_all_is_found_and_written(opened: SurfaceModel, seen: Any, example: Any, tmp_path: Path) -> None:
-    surface, levels, found = finished(opened, seen, example)
+def test_all_is_found_and_written_the_same_each_time(
+    opened: SurfaceModel, finished: Any, example: Any, tmp_path: Path
+) -> None:
+    surface, levels, found = finished(opened)
     assert found.mesh is not None and found.mesh.closed and found.mesh.holes_closed == 1
     assert found.mesh.colour == "albedo" and found.mesh.sun is not None
     assert found.coverage is not None and found.physics is not None
     assert surface.is_invented.sum() == found.mesh.invented_faces > 0
-    assert [level.file for level in found.mesh.levels] == ["mesh_lod1.glb", "mesh_lod2.glb"]
-
-    write_config(tmp_path, Config())
-    write_estimate(tmp_path, example.tracks, example.estimate)
-    write_surface(tmp_path, surface, levels)
-    assert {"mesh.ply", "mesh.glb", "mesh_lod1.glb", "mesh_lod2.glb"} <= {f.name for f in tmp_path.iterdir()}
+    again = finished(opened)
+    write_ply(again[0], tmp_path / "again.ply")
+    outputs.write_config(tmp_path, Config())
+    outputs.write_estimate(tmp_path, example.tracks, example.estimate)
+    outputs.write_surface(tmp_path, surface, levels)
+    assert (tmp_path / "again.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
+    assert again[2] == found
+    names = [level.file for level in found.mesh.levels]
+    assert names == ["mesh_lod1.glb", "mesh_lod2.glb"]
+    assert {"mesh.ply", "mesh.glb", *names} <= {f.name for f in tmp_path.iterdir()}
     finish_run(tmp_path, build_summary(example.tracks, example.estimate, surface, {}, shape=found))
     page = (tmp_path / "report.html").read_text()
-    assert "direction of the Sun in N" in page and "mesh_lod1.glb" in page
+    assert "direction of the Sun in N" in page and names[0] in page
     assert found.physics.words[1].split("'")[0] in page
-
-
-def test_the_same_input_gives_the_same_answer(
-    opened: SurfaceModel, seen: Any, example: Any, tmp_path: Path
-) -> None:
-    first, second = (finished(opened, seen, example) for _ in range(2))
-    for name, (surface, _, _) in (("a", first), ("b", second)):
-        write_ply(surface, tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    assert first[2] == second[2]
 
 
 @pytest.mark.parametrize(
@@ -105,28 +97,28 @@ def test_the_same_input_gives_the_same_answer(
     ],
 )
 def test_a_step_that_fails_costs_only_itself(
-    step: str, words: str, opened: SurfaceModel, seen: Any, example: Any, monkeypatch: pytest.MonkeyPatch
+    step: str, words: str, opened: SurfaceModel, finished: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: Any) -> None:
         raise ValueError("of no use")
 
     monkeypatch.setattr(module, step, broken)
-    surface, _, found = finished(opened, seen, example)
+    surface, _, found = finished(opened)
     assert f"{words} failed and was left out: of no use" in found.warnings
     assert found.mesh is not None and len(surface.mesh.faces) >= len(opened.mesh.faces)
 
 
-def test_each_step_can_be_switched_off(opened: SurfaceModel, seen: Any, example: Any) -> None:
+def test_each_step_can_be_switched_off_and_an_empty_surface_stays_empty(
+    opened: SurfaceModel, finished: Any
+) -> None:
     off = Config(mapping=Mapping(hole_share=0.0, divide_shading=False, levels=()))
-    surface, levels, found = finished(opened, seen, example, off)
+    surface, levels, found = finished(opened, off)
     assert found.mesh is not None and not found.mesh.closed and levels == []
     assert found.mesh.colour == "intensity" and found.mesh.sun is None
     np.testing.assert_array_equal(surface.mesh.faces, opened.mesh.faces)
-
-
-def test_an_empty_surface_stays_empty(seen: Any, example: Any) -> None:
-    empty = SurfaceModel(trimesh.Trimesh(), np.zeros(0), np.zeros(0, dtype=np.int64))
-    surface, levels, found = finished(empty, seen, example)
+    surface, levels, found = finished(
+        SurfaceModel(trimesh.Trimesh(), np.zeros(0), np.zeros(0, dtype=np.int64))
+    )
     assert len(surface.mesh.faces) == 0 and levels == [] and found.mesh is None and found.warnings == ()
 
 

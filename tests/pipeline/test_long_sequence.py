@@ -1,6 +1,5 @@
 """A sequence above the number of frames that are solved at once: key frames, then all states."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,65 +17,43 @@ from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Silent
 from tests.front_end_results import SharedFrontEnd
-from tests.pipeline.conftest import WITHOUT_NETWORKS
-
-LIMITS = {"above": 10, "number": 9}
-CONFIG = Config.model_validate({**WITHOUT_NETWORKS, "key_frames": LIMITS})
+from tests.pipeline.conftest import ONE_METHOD
 
 
-@dataclass(frozen=True)
-class LongRun:
-    """A run, and what it kept of the frames while they passed by."""
-
-    folder: Path
-    streamed: Streamed
-
-
-@pytest.fixture(scope="module")
-def long_run(
-    rendered_sequence: Path, front_end_once: SharedFrontEnd, tmp_path_factory: pytest.TempPathFactory
-) -> LongRun:
-    folder, kept = tmp_path_factory.mktemp("long") / "run", list[Streamed]()
+def test_every_frame_has_its_row_and_the_answer_is_that_of_all_frames_at_once(
+    rendered_sequence: Path,
+    run_of_one_method: Path,
+    front_end_once: SharedFrontEnd,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder, kept, streamed_of = tmp_path / "run", list[Streamed](), Stream.streamed
 
     def noted(stream: Stream, warnings: tuple[str, ...]) -> Streamed:
-        kept.append(streamed(stream, warnings))
+        kept.append(streamed_of(stream, warnings))
         return kept[-1]
 
-    streamed = Stream.streamed
-    with front_end_once(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stream, "streamed", noted)
-        run(CONFIG, rendered_sequence, folder, Silent())
-    return LongRun(folder, kept[0])
-
-
-def test_every_frame_has_its_row(long_run: LongRun, rendered_sequence: Path) -> None:
-    folder = long_run.folder
+    monkeypatch.setattr(Stream, "streamed", noted)
+    config = Config.model_validate({**ONE_METHOD, "key_frames": {"above": 10, "number": 9}})
+    with front_end_once():
+        run(config, rendered_sequence, folder, Silent())
     times_ns = open_sequence(rendered_sequence).timestamps_ns
-    np.testing.assert_array_equal(read_trajectory(folder).timestamps_ns, times_ns)
-    online = read_online(folder)
+    few, all_frames, online = read_trajectory(folder), read_trajectory(run_of_one_method), read_online(folder)
     assert online is not None
-    np.testing.assert_array_equal(online.timestamps_ns, times_ns)
-    assert read_measurements(folder).n_frames == len(times_ns)
-    summary = read_summary(folder)
-    assert summary.frames == len(times_ns)
+    for each in (few, online):
+        np.testing.assert_array_equal(each.timestamps_ns, times_ns)
+    assert read_measurements(folder).n_frames == len(times_ns) == read_summary(folder).frames
     assert (folder / "mesh.ply").is_file()
-
-
-def test_the_answer_is_that_of_all_frames_at_once(long_run: LongRun, run_of_one_method: Path) -> None:
-    few, all_frames = read_trajectory(long_run.folder), read_trajectory(run_of_one_method)
-    sigma = np.hypot(few.sigma_r, all_frames.sigma_r)
-    off = np.abs(few.r_N - all_frames.r_N) / sigma
+    off = np.abs(few.r_N - all_frames.r_N) / np.hypot(few.sigma_r, all_frames.sigma_r)
     assert np.mean(off < 3.0) > 0.95
-
-
-def test_only_key_frames_keep_their_features(long_run: LongRun) -> None:
-    streamed = long_run.streamed
+    # only key frames keep their features
+    (streamed,) = kept
     assert len(streamed.features) == len(streamed.key_frames) < len(streamed.timestamps_ns)
-    assert len(streamed.observations) == len(streamed.timestamps_ns)
-    assert not streamed.tried
+    assert len(streamed.observations) == len(streamed.timestamps_ns) and not streamed.tried
     for k, features in zip(streamed.key_frames, streamed.features, strict=True):
-        assert len(streamed.observations[k].landmark) == len(features)
-        np.testing.assert_array_equal(streamed.observations[k].uvd_px, features.uvd_px.astype(np.float32))
+        seen = streamed.observations[k]
+        assert len(seen.landmark) == len(features)
+        np.testing.assert_array_equal(seen.uvd_px, features.uvd_px.astype(np.float32))
 
 
 def test_more_key_frames_than_frames_at_once_are_refused(tmp_path: Path) -> None:

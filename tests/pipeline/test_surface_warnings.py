@@ -3,8 +3,8 @@
 import html
 import json
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +12,11 @@ import numpy as np
 import pytest
 
 from polhode.cli.main import main
-from polhode.config import Mapping as MappingSettings
 from polhode.frontend.extract import extract_depth
-from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, make_pose
 from polhode.mapping.fusion.field import Frame, fuse
 from polhode.records.surface import DepthMap, SurfaceModel
-from polhode.runtime.progress import Progress
-from tests.pipeline.conftest import REST_FRAMES
-
-QUICK = {
-    "frontend.depth.method": "sgbm",
-    "mapping.voxel-mm": "6",
-    "backend.window.enabled": "false",
-    "pictures.animation": "false",
-    "pictures.views": "false",
-}
-
+from tests.pipeline.conftest import QUICK, REST_FRAMES
 
 OF_MOTION = ("features", "matches", "initial_motion", "first_motion", "best_motion")
 """Stages before depth and surface"""
@@ -45,14 +33,11 @@ class Defect:
     """What becomes of the pose of frame k on the way to the fusion"""
     covariance_of: int | None = None
     """The frame whose pose has a covariance with NaN"""
-    options: dict[str, str] = field(default_factory=dict)
-    has_mesh: bool = True
+    options: tuple[str, ...] = ()
 
 
 DEFECTS = {
-    "no depth": Defect(
-        "no frame has valid depth: there is no surface", tuple(range(REST_FRAMES)), has_mesh=False
-    ),
+    "no depth": Defect("no frame has valid depth: there is no surface", tuple(range(REST_FRAMES))),
     "little depth": Defect("4 of 6 frames have no valid depth", (0, 1, 3, 4)),
     "one frame": Defect("the surface is made of 1 frame: nothing confirms its parts", (0, 1, 2, 3, 5)),
     "no overlap": Defect(
@@ -65,9 +50,14 @@ DEFECTS = {
     "doubtful pose": Defect("1 of 6 frames have a pose of unknown precision", covariance_of=4),
     "full": Defect(
         "the field of 3 MiB is full and parts of the surface are missing",
-        options={"mapping.memory-mib": "3", "mapping.voxel-mm": "1.5"},
+        options=("--mapping.memory-mib", "3", "--mapping.voxel-mm", "1.5"),
     ),
 }
+
+
+def command(sequence: Path, folder: Path) -> list[str]:
+    words = ["run", "configs/default.yaml", "--data", str(sequence), "-o", str(folder)]
+    return [*words, *QUICK, "--backend.window.enabled", "false"]
 
 
 @pytest.fixture(scope="module")
@@ -79,12 +69,6 @@ def undisturbed(at_rest: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
         if stage.is_dir() and stage.name not in OF_MOTION:
             shutil.rmtree(stage)
     return folder
-
-
-def command(sequence: Path, folder: Path, options: Mapping[str, str] | None = None) -> list[str]:
-    words = [word for name, value in (QUICK | dict(options or {})).items() for word in (f"--{name}", value)]
-    begin = ["run", "configs/default.yaml", "--data", str(sequence), "-o", str(folder)]
-    return [*begin, "--runtime.workers", "1", *words]
 
 
 @pytest.mark.parametrize("defect", DEFECTS.values(), ids=DEFECTS.keys())
@@ -101,35 +85,25 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
             nan = np.full_like(depth.depth_m, np.nan)
             yield replace(depth, depth_m=nan) if k in defect.without_depth else depth
 
-    def fused(
-        frames: Iterable[Frame],
-        rig: RectifiedRig,
-        config: MappingSettings,
-        progress: Progress,
-        n_frames: int,
-        covariance_G: Array,
-        landmarks_G: Array,
-    ) -> SurfaceModel:
+    def fused(frames: Iterable[Frame], *more: Any, covariance_G: Array, landmarks_G: Array) -> SurfaceModel:
         if defect.covariance_of is not None:
             covariance_G = covariance_G.copy()
             covariance_G[defect.covariance_of, 1, 1] = np.nan
         given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
-        return fuse(given, rig, config, progress, n_frames, covariance_G, landmarks_G)
+        return fuse(given, *more, covariance_G=covariance_G, landmarks_G=landmarks_G)
 
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", maps)
     monkeypatch.setattr("polhode.pipeline.build_surface.fuse", fused)
     folder = Path(shutil.copytree(undisturbed, tmp_path / "run"))
-    assert main([*command(at_rest, folder, defect.options), "--resume"]) == 0
+    assert main([*command(at_rest, folder), *defect.options, "--resume"]) == 0
 
     summary = json.loads((folder / "summary.json").read_text())
-    line = [text for text in summary["warnings"] if text.startswith(defect.message)]
-    assert len(line) == 1, summary["warnings"]
-    assert f"warning: {line[0]}" in capsys.readouterr().out.splitlines()
-    assert line[0] in (folder / "log.txt").read_text()
-    assert line[0] in html.unescape((folder / "report.html").read_text())
+    (line,) = [text for text in summary["warnings"] if text.startswith(defect.message)]
+    assert f"warning: {line}" in capsys.readouterr().out.splitlines()
+    assert line in (folder / "log.txt").read_text()
+    assert line in html.unescape((folder / "report.html").read_text())
     # never a wrong closed surface
-    assert (folder / "mesh.ply").is_file() == defect.has_mesh
-    if defect.has_mesh:
-        assert summary["mesh"]["closed"] is False
+    if len(defect.without_depth) < REST_FRAMES:
+        assert (folder / "mesh.ply").is_file() and summary["mesh"]["closed"] is False
     else:
-        assert summary["status"] == "degraded"
+        assert not (folder / "mesh.ply").exists() and summary["status"] == "degraded"

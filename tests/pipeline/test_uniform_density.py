@@ -18,6 +18,9 @@ from polhode.run_directory.summary_schema import Physics
 
 BOX_M = (0.12, 0.20, 0.24)
 BOX = trimesh.creation.box(BOX_M).subdivide().subdivide().subdivide()
+VOLUME_M3 = float(np.prod(BOX_M))
+MOMENTS = (np.sum(np.square(BOX_M)) - np.square(BOX_M)) / 12.0
+"""Of a box of 1 kg"""
 GIVEN = Backend(mass_kg=4.5)
 
 
@@ -26,9 +29,14 @@ def surface_of(mesh: trimesh.Trimesh) -> SurfaceModel:
     return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
 
 
-def moments_of_a_box(mass_kg: float) -> np.ndarray:
-    x, y, z = BOX_M
-    return mass_kg / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+def part_of(faces: Any) -> trimesh.Trimesh:
+    return trimesh.Trimesh(BOX.vertices, BOX.faces[faces], process=False)
+
+
+@pytest.fixture
+def mass(example: Any) -> MassProperties:
+    found: MassProperties = example.estimate.mass
+    return found
 
 
 def partly_known(mass: MassProperties, **flags: Any) -> MassProperties:
@@ -45,45 +53,40 @@ def sentence(found: Physics, start: str) -> str:
     return next(text for text in found.words if text.startswith(start))
 
 
-def test_a_given_mass_scales_the_inertia_that_the_motion_determines(example: Any) -> None:
-    mass = example.estimate.mass
-    assert assumed_properties(mass, example.surface, Backend()) == (None, [])
-    found, warnings = assumed_properties(mass, example.surface, GIVEN)
+def test_a_given_mass_scales_the_inertia_that_the_motion_determines(mass: MassProperties) -> None:
+    assert assumed_properties(mass, surface_of(BOX), Backend()) == (None, [])
+    found, warnings = assumed_properties(mass, surface_of(BOX), GIVEN)
     assert found is not None and warnings == []
-    assert found.mass_kg == 4.5 and found.volume_m3 == pytest.approx(np.prod(BOX_M), rel=1e-9)
-    np.testing.assert_allclose(np.diag(found.inertia_kg_m2), moments_of_a_box(4.5), rtol=1e-9)
+    assert found.mass_kg == 4.5 and found.volume_m3 == pytest.approx(VOLUME_M3, rel=1e-9)
+    np.testing.assert_allclose(np.diag(found.inertia_kg_m2), 4.5 * MOMENTS, rtol=1e-9)
     # what the motion determines stays its own
     assert (found.k1, found.k2, found.com_G, found.R_GP) == (None, None, None, None)
     assert "as given" in found.words[1]
     other = np.diag([1.4, 1.0, 0.7])
-    found, _ = assumed_properties(replace(mass, J_G=other), example.surface, GIVEN)
+    found, _ = assumed_properties(replace(mass, J_G=other), surface_of(BOX), GIVEN)
     assert found is not None
     inertia = np.array(found.inertia_kg_m2)
     np.testing.assert_allclose(inertia / inertia[1, 1], other, atol=1e-12)
-    assert np.trace(inertia) == pytest.approx(moments_of_a_box(4.5).sum(), rel=1e-9)
+    assert np.trace(inertia) == pytest.approx(4.5 * MOMENTS.sum(), rel=1e-9)
 
 
-def test_a_density_tells_mass_and_all_that_the_motion_does_not(example: Any) -> None:
-    lost = np.array([True, False, True])
-    mass = partly_known(example.estimate.mass, k1=False, axes=False, com=False, com_P=lost)
-    found, _ = assumed_properties(mass, example.surface, Backend(density_kg_m3=1000.0))
+def test_a_density_tells_mass_and_all_that_the_motion_does_not(mass: MassProperties) -> None:
+    lost = partly_known(mass, k1=False, axes=False, com=False, com_P=np.array([True, False, True]))
+    found, _ = assumed_properties(lost, surface_of(BOX), Backend(density_kg_m3=1000.0))
     assert found is not None
-    assert found.mass_kg == pytest.approx(1000.0 * np.prod(BOX_M), rel=1e-9)
-    moments = moments_of_a_box(1.0)
-    assert found.k1 == pytest.approx(np.log(moments[0] / moments[1])) and found.k2 is None
+    assert found.mass_kg == pytest.approx(1000.0 * VOLUME_M3, rel=1e-9)
+    assert found.k1 == pytest.approx(np.log(MOMENTS[0] / MOMENTS[1])) and found.k2 is None
     assert found.R_GP is not None and np.abs(np.array(found.R_GP)).max(axis=0) == pytest.approx(np.ones(3))
     # along the lost axis the box's own middle, along the others the estimate
     assert found.com_G == pytest.approx((0.003, 0.0, 0.002))
     assert {text.split(":")[0] for text in found.words} >= {"k1", "axes", "com", "inertia"}
 
 
-def test_an_open_mesh_is_its_hull_and_one_side_or_nothing_has_no_volume(example: Any) -> None:
-    box, mass = trimesh.creation.box(BOX_M).subdivide().subdivide(), example.estimate.mass
-    solid, _ = solid_of(trimesh.Trimesh(box.vertices, box.faces[20:], process=False))
+def test_an_open_mesh_is_its_hull_and_one_side_or_nothing_has_no_volume(mass: MassProperties) -> None:
+    solid, _ = solid_of(part_of(slice(80, None)))
     assert solid is not None and "convex hull" in solid.words and "open" in solid.words
-    assert solid.volume_m3 == pytest.approx(np.prod(BOX_M), rel=0.02)
-    seen = (box.triangles_center[:, 2] > 0.119) | (box.triangles_center[:, 0] > 0.059)
-    bowl = trimesh.Trimesh(box.vertices, box.faces[seen], process=False)
+    assert solid.volume_m3 == pytest.approx(VOLUME_M3, rel=0.02)
+    bowl = part_of((BOX.triangles_center[:, 2] > 0.119) | (BOX.triangles_center[:, 0] > 0.059))
     for mesh, words in ((bowl, "covers only"), (trimesh.Trimesh(), "no surface")):
         found, warnings = assumed_properties(mass, surface_of(mesh), GIVEN)
         assert found is None and len(warnings) == 1 and words in warnings[0]
@@ -94,10 +97,9 @@ def test_an_open_mesh_is_its_hull_and_one_side_or_nothing_has_no_volume(example:
     assert coverage(Caster(half), np.zeros(3)) == pytest.approx(0.5, abs=0.03)
 
 
-def test_uniform_density_agrees_and_what_differs_is_told(example: Any) -> None:
-    mass = example.estimate.mass
+def test_uniform_density_agrees_and_what_differs_is_told(mass: MassProperties) -> None:
     found = compared(replace(mass, com_G=np.zeros(3)))
-    assert found.volume_m3 == pytest.approx(np.prod(BOX_M))
+    assert found.volume_m3 == pytest.approx(VOLUME_M3)
     assert found.axes_angle_deg == pytest.approx(0.0, abs=1e-6)
     assert found.k1_difference == pytest.approx(0.0, abs=1e-9) == found.k2_difference
     assert "agrees with the volume's centre within" in sentence(found, "the centre of mass")
@@ -111,8 +113,7 @@ def test_uniform_density_agrees_and_what_differs_is_told(example: Any) -> None:
     assert text.startswith("the centre of mass is 9 mm off the volume's centre along +x of G (sigma 0.4 mm")
     assert text.endswith("mass is not spread evenly")
     for half_turn in ((1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)):
-        R_GP = exp_so3([0.0, 0.0, np.deg2rad(10.0)]) * np.array(half_turn)
-        found = compared(replace(mass, R_GP=R_GP))
+        found = compared(replace(mass, R_GP=exp_so3([0.0, 0.0, np.deg2rad(10.0)]) * np.array(half_turn)))
         assert found.axes_angle_deg == pytest.approx(10.0, abs=1e-6)
         assert "axes are rotated by 10 deg" in sentence(found, "the principal axes")
     found = compared(replace(mass, k1=mass.k1 + 0.2))
@@ -120,8 +121,8 @@ def test_uniform_density_agrees_and_what_differs_is_told(example: Any) -> None:
     assert "k1 is 0.200 larger than the volume's" in sentence(found, "k1")
 
 
-def test_what_the_motion_does_not_determine_is_left_out(example: Any) -> None:
-    mass, none, inf = example.estimate.mass, np.zeros(3, dtype=bool), np.diag([np.inf] * 3)
+def test_what_the_motion_does_not_determine_is_left_out(mass: MassProperties) -> None:
+    none, inf = np.zeros(3, dtype=bool), np.diag([np.inf] * 3)
     lost = partly_known(mass, k1=False, k2=False, com=False, axes=False, com_P=none, axes_P=none)
     found = compared(replace(lost, cov_k=inf[:2, :2]))
     assert len(found.words) == 1
@@ -140,12 +141,11 @@ def test_what_the_motion_does_not_determine_is_left_out(example: Any) -> None:
     assert sentence(found, "the principal axis z agrees")
 
 
-def test_an_open_mesh_is_compared_by_its_hull_as_well_as_that_tells(example: Any) -> None:
-    mass = replace(example.estimate.mass, com_G=np.array([0.0, 0.0, 0.02]))
-    found = compared(mass, trimesh.Trimesh(BOX.vertices, BOX.faces[40:], process=False))
+def test_an_open_mesh_is_compared_by_its_hull_as_well_as_that_tells(mass: MassProperties) -> None:
+    moved = replace(mass, com_G=np.array([0.0, 0.0, 0.02]))
+    found = compared(moved, part_of(slice(40, None)))
     assert "convex hull" in found.words[0]
     assert sentence(found, "the centre of mass").endswith("or the hull is not the body")
     # two plates: their hull is a box, they themselves enclose nothing
-    sides = np.abs(BOX.triangles_center[:, 0]) > 0.059
-    result = check_physics(mass, surface_of(trimesh.Trimesh(BOX.vertices, BOX.faces[sides], process=False)))
+    result = check_physics(moved, surface_of(part_of(np.abs(BOX.triangles_center[:, 0]) > 0.059)))
     assert result is None or result.com_offset_G is None or "hull" in result.words[0]

@@ -11,8 +11,7 @@ import pytest
 
 from polhode.frontend.rectification import Rectifier
 from polhode.pipeline.live.run_live import WatchedPair
-from polhode.pipeline.stream.live_state import LiveState
-from polhode.pipeline.stream.stream import Observed
+from polhode.pipeline.stream.stream import LiveState, Observed
 from polhode.records.dataset import StereoImages
 from polhode.viewer import show_live as module
 from polhode.viewer.recorder import Recorder

@@ -12,7 +12,6 @@ checkout.json and the page checkout.html. Nothing of the back end is needed.
 - target_motion: rotation between frames, matches, delay between the cameras
 - exposure: exposure, focus and noise over the sample, and between the cameras; what surrounds the target
 - timing: stamps, gaps, lost frames, poses of the inspector
-- run_cost: time and memory of a run, estimated
 - result: the content of checkout.json
-- page, figures: checkout.html
+- page: checkout.html
 """

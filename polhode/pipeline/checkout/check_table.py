@@ -138,10 +138,6 @@ CHECK_TABLE = {
         0.5, None,
         "Give a pose at the time of each image: between poses it is interpolated; state sigma_p_m and "
         "sigma_theta_rad in inspector0/sensor.yaml if the poses are measured."),
-    "run time": CheckRow("cost", "estimated time of the run", "min", 120.0, None,
-        "Use a machine with more cores, or every second frame as long as the turn between frames allows."),
-    "memory": CheckRow("cost", "estimated memory of the run", "GiB", 8.0, None,
-        "Make sure that the machine has this memory, or set runtime.workers to 1."),
 }
 # fmt: on
 Limits = tuple[float | None, float | None]

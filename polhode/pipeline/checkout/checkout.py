@@ -14,13 +14,11 @@ from polhode.pipeline.checkout.check_table import CHECK_TABLE
 from polhode.pipeline.checkout.exposure import background_checks, exposure_checks
 from polhode.pipeline.checkout.result import CheckoutCheck, CheckoutResult, Group, worst
 from polhode.pipeline.checkout.rig_tilt import RowFit, fit_rows, tilt_checks
-from polhode.pipeline.checkout.run_cost import RunSize, cost_checks
 from polhode.pipeline.checkout.sample import PLACES, Sample, places, take_sample
-from polhode.pipeline.checkout.target_motion import Turns, motion_checks, turns_of
+from polhode.pipeline.checkout.target_motion import motion_checks
 from polhode.pipeline.checkout.target_range import range_checks
-from polhode.pipeline.checkout.timing import Stamps, frame_checks, inspector_checks, read_stamps, stamp_checks
-from polhode.pipeline.context import rectifier_of
-from polhode.pipeline.found_background import with_found_masks
+from polhode.pipeline.checkout.timing import frame_checks, inspector_checks, read_stamps, stamp_checks
+from polhode.pipeline.context import rectifier_of, with_found_masks
 from polhode.records.camera_folders import find_cameras
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.rig_calibration import (
@@ -48,7 +46,6 @@ class Findings:
     rig: RectifiedRig
     sample: Sample
     rows: RowFit | None
-    turns: Turns
     shown: RectifiedPair
     """One pair of the middle of the sequence, as rectified"""
     shown_index: int
@@ -60,7 +57,6 @@ class Checkout:
     """What ``polhode checkout`` writes."""
 
     result: CheckoutResult
-    stamps: Stamps
     findings: Findings | None
     """None: too few frames of the two cameras belong together"""
 
@@ -80,55 +76,38 @@ def checkout(
     anything else that ``polhode run`` refuses.
     """
     rig: Literal["sequence", "given"] = "sequence" if rig_folder is None else "given"
-    given = None if rig_folder is None else _read_rig(rig_folder, sequence_folder)
+    given = None
+    if rig_folder is not None:
+        try:
+            has_ranges = find_cameras(sequence_folder / "mav0").has_ranges
+        except InputError:
+            has_ranges = False
+        given = read_range_calibration(rig_folder) if has_ranges else read_calibration(rig_folder)
     try:
         sequence = open_sequence(sequence_folder)
     except InputError as error:
         # the checks of the stamps alone, where these are why the sequence cannot be opened
         try:
-            stamps = read_stamps(sequence_folder)
+            checks = stamp_checks(read_stamps(sequence_folder))
         except InputError:
             raise error from None
-        checks = stamp_checks(stamps)
         if worst(checks) != "FAIL":
             raise
         nothing = CheckoutResult(status="FAIL", pairs=0, pairs_examined=0, rig=rig, checks=tuple(checks))
-        return Checkout(nothing, stamps, None)
-    stamps = read_stamps(sequence_folder)
+        return Checkout(nothing, None)
     if given is not None:
         sequence = _with_calibration(sequence, given)
     frames, shown = places(sequence.timestamps_ns, count), progress or Silent()
     rectifier, processes = rectifier_of(sequence), worker_count(workers)
     rectifier = with_found_masks(sequence, rectifier, frames.tolist(), processes, shown)
     findings = find(sequence, rectifier, frames, processes, shown)
-    seen = [np.prod(p.left.extent_px) for p in findings.sample.pairs if min(p.left.extent_px) > 0.0]
-    size = RunSize(
-        frames=len(sequence),
-        image_mpx=1e-6 * rectifier.rig.width_px * rectifier.rig.height_px,
-        target_mpx=1e-6 * float(np.median(seen)) if seen else 0.0,
-        noun=findings.sample.noun,
-    )
-    checks = [
-        *image_checks(findings),
-        *stamp_checks(stamps),
-        *frame_checks(sequence),
-        *inspector_checks(sequence),
-        *cost_checks(size),
-    ]
+    of_times = *stamp_checks(read_stamps(sequence_folder)), *frame_checks(sequence)
+    checks = [*image_checks(findings), *of_times, *inspector_checks(sequence)]
     checks.sort(key=lambda check: get_args(Group).index(check.group))
     result = CheckoutResult(
         status=worst(checks), pairs=len(sequence), pairs_examined=len(frames), rig=rig, checks=tuple(checks)
     )
-    return Checkout(result, stamps, findings)
-
-
-def _read_rig(folder: Path, sequence_folder: Path) -> StereoCalibration:
-    """Of two cameras, or of one with range images where the sequence has these. Raises InputError."""
-    try:
-        has_ranges = find_cameras(sequence_folder / "mav0").has_ranges
-    except InputError:
-        has_ranges = False
-    return read_range_calibration(folder) if has_ranges else read_calibration(folder)
+    return Checkout(result, findings)
 
 
 def _with_calibration(sequence: StereoSequence, given: StereoCalibration) -> StereoSequence:
@@ -180,9 +159,8 @@ def find(
     """Examine the pairs of these indices."""
     rig, middle = rectifier.rig, len(frames) // 2
     sample = take_sample(sequence, rectifier, frames, workers, progress)
-    rows, turns = fit_rows(sample, rig), turns_of(sequence, sample)
     shown = rectified_pair(sequence, rectifier, int(frames[middle]))
-    return Findings(sequence, rig, sample, rows, turns, shown, middle)
+    return Findings(sequence, rig, sample, fit_rows(sample, rig), shown, middle)
 
 
 def image_checks(findings: Findings) -> list[CheckoutCheck]:
@@ -191,7 +169,7 @@ def image_checks(findings: Findings) -> list[CheckoutCheck]:
     return [
         *tilt_checks(sample, rig, findings.rows),
         *range_checks(sample, rig),
-        *motion_checks(sequence, sample, rig, findings.turns),
+        *motion_checks(sequence, sample, rig),
         *exposure_checks(sample),
         *background_checks(sample),
     ]

@@ -55,7 +55,12 @@ def exposure_checks(sample: Sample) -> list[CheckoutCheck]:
         if gain is not None:
             finding = f"The right image is {np.exp(gain):.3g} times as bright at the same points."
         checks.append(make_check("gain", None if gain is None else _percent(gain), finding))
-    jumps = [gain for gain in frame_gains(sample) if gain is not None]
+    jumps = []
+    for pair, link in zip(sample.successive, sample.links, strict=True):
+        if link is not None:
+            levels = (sample.pairs[k].level_left[link.features[:, n]] for n, k in enumerate(pair))
+            if (gain := _log_gain(*levels)) is not None:
+                jumps.append(float(np.exp(gain)))
     finding = "No two examined frames match."
     if jumps:
         finding = (
@@ -116,17 +121,6 @@ def _log_gain(before: Array, after: Array) -> float | None:
 def _percent(log_ratio: float) -> float:
     """How much brighter the brighter one is [%]."""
     return 100.0 * float(np.expm1(abs(log_ratio)))
-
-
-def frame_gains(sample: Sample) -> list[float | None]:
-    """(m,) ratio of brightness of the same points, later over earlier, of each successive pair."""
-    out: list[float | None] = []
-    for pair, link in zip(sample.successive, sample.links, strict=True):
-        gain = None
-        if link is not None:
-            gain = _log_gain(*(sample.pairs[k].level_left[link.features[:, n]] for n, k in enumerate(pair)))
-        out.append(None if gain is None else float(np.exp(gain)))
-    return out
 
 
 def background_checks(sample: Sample) -> list[CheckoutCheck]:

@@ -5,12 +5,32 @@ import io
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from polhode.files.output.marked_folder import marked_folder, write_files
+from polhode.frontend.features.epipolar_search import RowOffsets
+from polhode.frontend.rectification import RectifiedPair
+from polhode.geometry.camera import RectifiedRig
+from polhode.pipeline.checkout.check_table import limit_of
 from polhode.pipeline.checkout.checkout import Checkout, in_a_line
-from polhode.pipeline.checkout.figures import LEVEL_PX, checkout_figures, draw_pair
 from polhode.pipeline.checkout.result import CheckoutCheck
+from polhode.pipeline.checkout.rig_tilt import REGIONS, RowFit, regions
+from polhode.report.plot_style import (
+    FAINT,
+    INK,
+    Figure,
+    Layout,
+    Trace,
+    axis,
+    color_bar,
+    layout,
+    note,
+    on,
+    packed,
+)
 from polhode.report.template import fill
 from polhode.run_directory.summary_schema import json_text
 from polhode.runtime.errors import printable
@@ -25,13 +45,14 @@ GROUPS = {
     "time": "Times",
     "background": "Background",
     "inspector": "Inspector",
-    "cost": "Cost of a run",
 }
 WORDS = {
     "PASS": "Nothing stands against a run.",
     "WARN": "A run is possible; see what may spoil it.",
     "FAIL": "Expect a run to fail or to mislead until this is mended.",
 }
+LEVEL_PX = 3.0 * limit_of("rows")
+"""Rows of a match that differ by more are drawn in another colour."""
 
 
 def checkout_folder(path: Path) -> AbstractContextManager[Path]:
@@ -83,7 +104,7 @@ def render(done: Checkout, name: str) -> str:
         words=WORDS[result.status],
         notes=[f"{check.status}: {in_a_line(check)}" for check in result.checks if check.status != "PASS"],
         groups=[(title, found_rows) for title, found_rows in rows.items() if found_rows],
-        sections=checkout_figures(done),
+        sections=[] if found is None or found.rows is None else [("Rows", [_map(found.rows, found.rig)])],
         picture=picture,
         has_ranges=found is not None and found.sequence.has_ranges,
         shown_px=f"{LEVEL_PX:.1f}",
@@ -111,3 +132,80 @@ def check_row(check: CheckoutCheck) -> dict[str, str]:
         "finding": check.finding,
         "advice": check.advice if check.status != "PASS" else "",
     }
+
+
+def _map(fit: RowFit, rig: RectifiedRig) -> Figure:
+    """The vertical disparity over the image."""
+    offset_px, uv_px = fit.offset_px[fit.good], fit.uv_px[fit.good]
+    limit = max(limit_of("rows"), float(np.percentile(np.abs(offset_px), 98.0)))
+    median, count = regions(fit, rig, fit.offset_px)
+    scale = [[0.0, "#0072b2"], [0.5, "#e8ecf0"], [1.0, "#d55e00"]]
+    marker: Layout = {"color": packed(offset_px), "colorscale": scale, "cmin": -limit, "cmax": limit}
+    marker |= {"size": 5, "line": {"color": FAINT, "width": 0.3}, "colorbar": color_bar("px")}
+    points: Trace = {"type": "scatter", "mode": "markers", "x": packed(uv_px[:, 0]), "y": packed(uv_px[:, 1])}
+    points |= {"marker": marker, "showlegend": False, **on(1)}
+    width, height = rig.width_px, rig.height_px
+    style: Layout = {"xref": "x", "yref": "y", "bgcolor": "rgba(255,255,255,0.75)"}
+    style |= {"font": {"size": 12, "color": INK}}
+    words = [
+        note(
+            f"<b>{median[row, column]:+.2f}</b> ({count[row, column]})",
+            (column + 0.5) * width / REGIONS,
+            (row + 0.5) * height / REGIONS,
+            **style,
+        )
+        for row, column in np.argwhere(count)
+    ]
+    grid: list[Layout] = []
+    for k in range(1, REGIONS):
+        u, v = k * width / REGIONS, k * height / REGIONS
+        for x0, x1, y0, y1 in ((u, u, 0, height), (0, width, v, v)):
+            ends = {"x0": x0, "x1": x1, "y0": y0, "y1": y1}
+            grid.append({"type": "line", **ends, "line": {"color": "#c3ccd4", "width": 1}})
+    drawing = layout(
+        xaxis=axis("u [px]", range=[0, width], showgrid=False),
+        yaxis=axis("v [px]", range=[height, 0], scaleanchor="x", constrain="domain", showgrid=False),
+        annotations=words,
+        shapes=grid,
+    )
+    caption = (
+        "Row in the left minus row in the right image, of matches of all examined pairs, in the rectified "
+        "left image; in each part of the image the median [px] and the number of matches. A rig that is as "
+        "calibrated shows grey everywhere. An offset of all is a pitch, a slope along the rows a roll of the "
+        "right camera, one down the image a difference of the focal lengths."
+    )
+    return Figure("rows-map", "Vertical disparity over the image", caption, [points], drawing, height_px=460)
+
+
+def draw_pair(pair: RectifiedPair, rows: RowOffsets) -> NDArray[np.uint8]:
+    """Left and right image side by side (H, 2 W, 3) as rectified: guides along the rows, matches joined.
+
+    As the astronauts' second screen (thesis figure 5-25): the lines must be as level as the guides. Or the
+    image beside its range image: near is bright, black is not measured.
+    """
+
+    def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        bright = image.astype(np.float64) * (235.0 / max(float(np.percentile(image, 99.7)), 16.0))
+        return np.repeat(np.clip(bright, 0.0, 255.0).astype(np.uint8)[..., None], 3, axis=2)
+
+    if pair.measured is not None:
+        d = pair.measured.disparity_px
+        known = np.isfinite(d)
+        low, high = np.percentile(d[known], [1.0, 99.0]) if known.any() else (0.0, 1.0)
+        level = np.clip((np.where(known, d, low) - low) / max(high - low, 1e-6), 0.0, 1.0)
+        colours = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
+        return np.hstack([grey(pair.left), np.where(known[..., None], colours, 0).astype(np.uint8)])
+    picture, (height, width) = np.hstack([grey(pair.left), grey(pair.right)]), pair.left.shape
+    for row in np.linspace(0, height, 9 + 2)[1:-1].astype(int).tolist():
+        cv2.line(picture, (0, row), (2 * width, row), (0, 158, 115), 1)
+    order = np.argsort(rows.uv_px[:, 1], kind="stable")
+    some = order[np.unique(np.linspace(0, len(order) - 1, 40).astype(int))] if len(order) else order
+    for k in some.tolist():
+        u, v = rows.uv_px[k]
+        ends = np.array([[u, v], [u - rows.disparity_px[k] + width, v - rows.offset_px[k]]])
+        a, b = np.round(16 * ends).astype(int).tolist()
+        color = (86, 180, 233) if abs(rows.offset_px[k]) <= LEVEL_PX else (213, 94, 0)
+        cv2.line(picture, a, b, color, 1, cv2.LINE_AA, shift=4)
+        for end in (a, b):
+            cv2.circle(picture, end, 3 * 16, color, 1, cv2.LINE_AA, shift=4)
+    return np.asarray(picture, dtype=np.uint8)

@@ -17,7 +17,7 @@ from polhode.run_directory.summary_schema import Finite, StrictModel, Variance, 
 
 SCHEMA_FILE = Path(__file__).with_name("checkout.schema.json")
 Verdict = Literal["PASS", "WARN", "FAIL"]
-Group = Literal["rig", "range", "motion", "images", "time", "background", "inspector", "cost"]
+Group = Literal["rig", "range", "motion", "images", "time", "background", "inspector"]
 
 
 class CheckoutCheck(StrictModel):

@@ -1,7 +1,5 @@
 """How far the target rotates between frames, whether its features are found again, delay of the cameras."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from polhode.frontend.matching.pairs import MIN_INLIERS
@@ -17,26 +15,11 @@ CLEAR_DELAY = 8.0
 """In its standard deviations, which few pairs underestimate: 6.4 at most without a delay."""
 
 
-@dataclass(frozen=True)
-class Turns:
-    """The m successive pairs of the sample."""
-
-    time_s: Array
-    """(m,) between the two, since the first frame"""
-    interval_s: Array
-    """(m,)"""
-    turn_deg: Array
-    """(m,) NaN where they do not match"""
-    matches: Array
-    """(m,) that agree with the motion"""
-    moved_px: Array
-    """(m,) median displacement of the features in the image; NaN where they do not match"""
-
-
-def turns_of(sequence: StereoSequence, sample: Sample) -> Turns:
-    """By the relative poses of successive pairs."""
-    t = (sequence.timestamps_ns - sequence.timestamps_ns[0]) * 1e-9
-    rows = []
+def motion_checks(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -> list[CheckoutCheck]:
+    """Number of features, rotation between frames, matches, share that matches; of two cameras the delay
+    between them."""
+    # of successive pairs: interval, rotation, matches that agree with it, displacement of the features
+    t, rows = (sequence.timestamps_ns - sequence.timestamps_ns[0]) * 1e-9, []
     for (i, j), link in zip(sample.successive, sample.links, strict=True):
         a, b = sample.pairs[i], sample.pairs[j]
         turn, moved, count = float("nan"), float("nan"), 0
@@ -45,17 +28,10 @@ def turns_of(sequence: StereoSequence, sample: Sample) -> Turns:
             ends = [each.features.uvd_px[link.features[:, k], :2] for k, each in enumerate((a, b))]
             moved = float(np.median(np.linalg.norm(ends[1] - ends[0], axis=1)))
             count = len(link.features)
-        rows.append((0.5 * (t[a.frame] + t[b.frame]), t[b.frame] - t[a.frame], turn, count, moved))
-    return Turns(*np.array(rows, dtype=np.float64).reshape(-1, 5).T)
-
-
-def motion_checks(
-    sequence: StereoSequence, sample: Sample, rig: RectifiedRig, turns: Turns
-) -> list[CheckoutCheck]:
-    """Number of features, rotation between frames, matches, share that matches; of two cameras the delay
-    between them."""
+        rows.append((t[b.frame] - t[a.frame], turn, count, moved))
+    interval_s, turn_deg, matches, moved_px = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     features = np.array([len(pair.features) for pair in sample.pairs])
-    matches, matched, ranges = turns.matches, np.isfinite(turns.turn_deg), sequence.has_ranges
+    matched, ranges = np.isfinite(turn_deg), sequence.has_ranges
     finding = (
         f"{int(np.sum(features < MIN_INLIERS))} of {len(features)} examined {sample.noun} have fewer than "
         f"{MIN_INLIERS}; from {features.min()} to {features.max()}."
@@ -63,11 +39,11 @@ def motion_checks(
     name = "median number of features with a range per image" if ranges else ""
     checks = [make_check("features", float(np.median(features)), finding, name=name)]
     if matched.any():
-        turn, rate = turns.turn_deg[matched], turns.turn_deg[matched] / turns.interval_s[matched]
+        turn, rate = turn_deg[matched], turn_deg[matched] / interval_s[matched]
         middle = float(np.median(turn))
         finding = (
             f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
-            f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(turns.moved_px):.0f} px."
+            f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(moved_px):.0f} px."
         )
         faster = max(middle / limit_of("rotation"), 1.0)
         advice = (

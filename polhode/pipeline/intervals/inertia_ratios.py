@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from polhode.geometry.lie import Array
-from polhode.pipeline.intervals.motion_limits import PAIRS, MotionLimits
+from polhode.pipeline.intervals.hull_and_limits import PAIRS, MotionLimits
 
 MAX_STEPS = 8
 MIN_GAIN = 2e-3
@@ -27,10 +27,10 @@ RESOLUTION = 0.02
 deviation from which on a ratio counts as undetermined."""
 AXES_ACROSS = np.stack([np.cos(np.pi / 8 * np.arange(8)), np.sin(np.pi / 8 * np.arange(8))])
 """Axes across another one, (2, 8): every 22.5 deg of half a turn."""
-CUBE_DIRECTIONS = np.array(
+DIRECTIONS = np.array(
     [[x, y, z] for x in (0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)][5:], dtype=np.float64
-)
-DIRECTIONS = CUBE_DIRECTIONS.T / np.linalg.norm(CUBE_DIRECTIONS, axis=1)
+).T
+DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=0)
 """(3, 13) through the corners, edges and faces of a cube: nothing is farther than 28 deg from one."""
 
 
@@ -83,7 +83,7 @@ class _Bodies:
         """The J (3, 3) that is largest along a direction (3, 3); None: there is none."""
         weights = _components(direction)
         cost = -(weights @ self.J) / self.unit / max(float(np.abs(weights).max()), 1e-300)
-        return self._solve(cost, self._below, np.zeros(len(self._below)))
+        return self._solve(cost, self._below)
 
     def most_different(self, axes: Array, which: int, ratio: float) -> Array | None:
         """A J (3, 3) whose ratio of moments exceeds ``ratio``, if one has its single axis along axes[:, 0].
@@ -101,7 +101,7 @@ class _Bodies:
         single = _components(np.outer(axes[:, 0], axes[:, 0])) @ self.J / self.unit
         # k1: the single moment less ratio times the middle one; k2: the middle one less ratio times it
         cost = np.append(-single, ratio) if which == 0 else np.append(ratio * single, -1.0)
-        return self._solve(cost, below, np.zeros(len(below)), exceed=MIN_GAIN)
+        return self._solve(cost, below, exceed=MIN_GAIN)
 
     def most_equal(self, axes: Array, sign: float) -> Array | None:
         """The J (3, 3) that is closest to isotropic in the plane of the first two axes (3, 3).
@@ -119,16 +119,16 @@ class _Bodies:
         bounded = np.concatenate([np.concatenate([rows[:-1], -rows[:-1]]), -np.ones((8, 1))], axis=1)
         below = np.pad(np.concatenate([self._below, rows[-1:]]), ((0, 0), (0, 1)))
         below = np.concatenate([below, bounded])
-        return self._solve(np.append(np.zeros(self.J.shape[1]), 1.0), below, np.zeros(len(below)))
+        return self._solve(np.append(np.zeros(self.J.shape[1]), 1.0), below)
 
-    def _solve(self, cost: Array, below: Array, limit: Array, exceed: float = -np.inf) -> Array | None:
-        """The J whose masses minimize a cost that falls below -exceed; None: there is none."""
+    def _solve(self, cost: Array, below: Array, exceed: float = -np.inf) -> Array | None:
+        """The J whose masses minimize a cost that falls below -exceed, below @ masses <= 0; None: none."""
         count = self.J.shape[1]
         more = len(cost) - count
         found = linprog(
             cost,
             A_ub=below,
-            b_ub=limit,
+            b_ub=np.zeros(len(below)),
             A_eq=np.pad(self._equal, ((0, 0), (0, more))),
             b_eq=np.array([1.0, 0.0, 0.0, 0.0]),
             bounds=[(0.0, self._most)] * count + [(0.0, None)] * more,

@@ -28,10 +28,6 @@ SENTENCES: dict[Kind, str] = {
     "unusable": "not used: without a partner, unreadable, or without a pose of the inspector",
 }
 MIN_PAIRS = 3
-LONG_GAP = 1.5
-"""An interval of more usual ones means that pairs are missing."""
-MIN_INTERVALS = 3
-"""Number of intervals from which the usual one is known."""
 NAMED = 10
 """Pairs that a sentence of the summary names."""
 
@@ -56,9 +52,10 @@ class Arrivals:
             if interval_ns <= 0:
                 self.note("same time" if interval_ns == 0 else "late", f"{timestamp_ns} ns")
                 return False
-            if len(self._intervals_ns) >= MIN_INTERVALS:
+            # from three intervals on the usual one is known
+            if len(self._intervals_ns) >= 3:
                 usual_ns = float(np.median(self._intervals_ns))
-                if interval_ns > LONG_GAP * usual_ns:
+                if interval_ns > 1.5 * usual_ns:
                     missing = round(interval_ns / usual_ns) - 1
                     self.note("missing", f"{timestamp_ns} ns (about {max(missing, 1)})")
             self._intervals_ns.append(interval_ns)

@@ -27,12 +27,8 @@ from polhode.runtime.errors import InputError
 
 END_MARKER = "end"
 """An empty file of this name in mav0/ says that no further pair will come."""
-POLL_S = 0.05
 GRACE_S = 1.0
 """An image or pose that is not there so long after its pair was listed is missing."""
-FIRST_INTERVAL_NS = 100_000_000
-"""For the first pair, whose interval to the next one is not known yet."""
-MAX_LIST_BYTES = 512 * MIB
 CAMERAS = ("cam0", "cam1")
 
 
@@ -61,37 +57,32 @@ class _List:
     """``data.csv`` of a camera as it grows: complete lines only."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._done, self._line = path, 0, 0
+        self._path, self._line = path, 0
         self.rows: list[tuple[int, str]] = []
 
     def read(self, whole: bool) -> None:
         """Read further lines; ``whole``: the last one counts without its line end. Raises InputError."""
         try:
-            text = read_text(self._path, MAX_LIST_BYTES, "a list of images")
+            text = read_text(self._path, 512 * MIB, "a list of images")
         except MissingFile:
             return
-        lines = text.splitlines(keepends=True)
-        for line in lines[self._line :]:
+        for line in text.splitlines(keepends=True)[self._line :]:
             if not line.endswith(("\n", "\r")) and not whole:
                 return
             self._line += 1
-            self._take(line.strip())
-
-    def _take(self, line: str) -> None:
-        if not line or line.startswith("#"):
-            return
-        fields = [part.strip() for part in line.split(",")]
-        where = f"{self._path} line {self._line}"
-        try:
-            stamp = int(fields[0])
-        except ValueError:
-            raise InputError(f"{where}: expected a timestamp [ns], got {fields[0][:40]!r}") from None
-        if abs(stamp) >= 2**62:
-            raise InputError(f"{where}: the timestamp {stamp} is too large; give nanoseconds")
-        name = fields[1] if len(fields) > 1 and fields[1] else f"{fields[0]}.png"
-        if wrong := wrong_name(name):
-            raise InputError(f"{where}: the name {name[:60]!r} {wrong}")
-        self.rows.append((stamp, name))
+            fields, where = [part.strip() for part in line.split(",")], f"{self._path} line {self._line}"
+            if not line.strip() or fields[0].startswith("#"):
+                continue
+            try:
+                stamp = int(fields[0])
+            except ValueError:
+                raise InputError(f"{where}: expected a timestamp [ns], got {fields[0][:40]!r}") from None
+            if abs(stamp) >= 2**62:
+                raise InputError(f"{where}: the timestamp {stamp} is too large; give nanoseconds")
+            name = fields[1] if len(fields) > 1 and fields[1] else f"{fields[0]}.png"
+            if wrong := wrong_name(name):
+                raise InputError(f"{where}: the name {name[:60]!r} {wrong}")
+            self.rows.append((stamp, name))
 
 
 class FolderSource:
@@ -150,7 +141,7 @@ class FolderSource:
                         yield Passed(f"{stamp} ns (only in cam1)")
                 return
             if self._watched:
-                sleep(POLL_S)
+                sleep(0.05)
 
     def _pair(self, number: int, taken: set[int], final: bool) -> SourcePair | Passed | None:
         """The left camera's row with its partner; None: to be waited for. ``final``: nothing will come."""
@@ -189,8 +180,8 @@ class FolderSource:
     def _pose(self, stamp: int) -> Array:
         """X_NB (4, 4) at a time. Raises InputError: there is none yet."""
         assert self._inspector is not None
-        # the interval to another pair bounds how far the pose may be
-        other = stamp + FIRST_INTERVAL_NS if self._latest_ns in (None, stamp) else self._latest_ns
+        # the interval to another pair, of the first one a tenth of a second, bounds how far the pose may be
+        other = stamp + 100_000_000 if self._latest_ns in (None, stamp) else self._latest_ns
         stamps = np.array(sorted({other, stamp}), dtype=np.int64)
         poses = read_inspector(self._inspector, stamps)
         self._latest_ns = stamp

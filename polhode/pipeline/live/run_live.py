@@ -16,12 +16,11 @@ from polhode.frontend.rectification import Rectifier
 from polhode.geometry.lie import Array
 from polhode.pipeline.live.arrivals import Arrivals, require_pairs
 from polhode.pipeline.live.feed import WAIT_S, Arrived, Dropped, Feed
-from polhode.pipeline.live.folder_source import FolderSource, SourcePair
+from polhode.pipeline.live.folder_source import FolderSource
 from polhode.pipeline.live.recording import FileRecording
 from polhode.pipeline.live.warm_up import warm_up_stream
 from polhode.pipeline.run import RunResult, fill_run_folder
-from polhode.pipeline.stream.live_state import LiveState
-from polhode.pipeline.stream.stream import Extracted, Observed, Stream
+from polhode.pipeline.stream.stream import Extracted, LiveState, Observed, Stream
 from polhode.records.dataset import StereoImages
 from polhode.report import write_report
 from polhode.run_directory.run_folder import atomic_run_folder
@@ -31,11 +30,8 @@ from polhode.runtime.processes import worker_count
 from polhode.runtime.progress import LiveProgress
 from polhode.runtime.threads import single_threaded
 
-MAX_RATE = 1e4
 PATIENCE_S = 10.0
 """A folder that fills has ended when no pair came for so long."""
-BESIDE_S = 0.01
-"""Between looks at a pair whose features are being extracted, while another may come."""
 _log = logging.getLogger(__name__)
 
 
@@ -99,7 +95,7 @@ def run_live(
     ``watch`` is called with each pair after its state, and must not take long. Raises InputError for a wrong
     source or rate, RunFailure as ``run``.
     """
-    if rate is not None and not 0.0 <= rate <= MAX_RATE:
+    if rate is not None and not 0.0 <= rate <= 1e4:
         raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
     if not 0.0 < patience_s <= 1e6:
         raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
@@ -112,7 +108,7 @@ def run_live(
             advance()
         recording = FileRecording(source_folder)
         try:
-            loop = _Loop(stream, recording, source, live, watch)
+            loop = _Loop(stream, recording, source, live, watch, Arrivals(source.calibration.bits))
             with interrupt_noted() as interrupted, progress.line() as show:
                 last_at = loop.run(rate, worker_count(config.runtime.workers), interrupted, show)
             require_pairs(len(stream), str(source_folder))
@@ -131,28 +127,19 @@ def run_live(
     return finished(written), live
 
 
+@dataclass
 class _Loop:
     """Pairs from the feed through the stages; the features of the next ones are extracted meanwhile."""
 
-    def __init__(
-        self,
-        stream: Stream,
-        recording: FileRecording,
-        source: FolderSource,
-        live: LiveReport,
-        watch: Watch | None,
-    ) -> None:
-        self.stream, self.recording, self.source, self.live, self.watch = (
-            stream,
-            recording,
-            source,
-            live,
-            watch,
-        )
-        self.arrivals = Arrivals(source.calibration.bits)
-        self.processor_s = 0.0
-        """Of this process, when the last pair came"""
-        self.n_started = 0
+    stream: Stream
+    recording: FileRecording
+    source: FolderSource
+    live: LiveReport
+    watch: Watch | None
+    arrivals: Arrivals
+    processor_s: float = 0.0
+    """Of this process, when the last pair came"""
+    is_prepared: bool = False
 
     def run(
         self, rate: float | None, workers: int, interrupted: Callable[[], bool], show: Callable[[str], None]
@@ -166,11 +153,16 @@ class _Loop:
                     feed.stop()
                     show("interrupted: the pairs that have come are finished")
                 busy = len(started) >= workers or bool(started and started[0][1].done())
-                item = None if busy else feed.next(BESIDE_S if started else WAIT_S)
+                # features are being extracted while another pair may come
+                item = None if busy else feed.next(0.01 if started else WAIT_S)
                 if isinstance(item, Arrived):
-                    last_at, self.processor_s = item.at, process_time()
-                    if self.arrivals.accepts(item.pair.stamps_ns[0]):
-                        started.append((item, pool.submit(self.stream.extract, self._images(item.pair))))
+                    last_at, self.processor_s, pair = item.at, process_time(), item.pair
+                    if self.arrivals.accepts(pair.stamps_ns[0]):
+                        images = self.arrivals.images(pair.stamps_ns[0], pair.left, pair.right, pair.masks)
+                        if not self.is_prepared:
+                            self.stream.prepare(images)
+                            self.is_prepared = True
+                        started.append((item, pool.submit(self.stream.extract, images)))
                 elif isinstance(item, Dropped):
                     self.live.dropped += 1
                     self.arrivals.note("dropped", f"{item.timestamp_ns} ns")
@@ -179,13 +171,6 @@ class _Loop:
                 elif started and (busy or feed.ended):
                     show(self._finish(*started.popleft()))
         return last_at
-
-    def _images(self, pair: SourcePair) -> StereoImages:
-        images = self.arrivals.images(pair.stamps_ns[0], pair.left, pair.right, pair.masks)
-        if self.n_started == 0:
-            self.stream.prepare(images)
-        self.n_started += 1
-        return images
 
     def _finish(self, arrived: Arrived, future: Future[Extracted]) -> str:
         """The state of a pair, and the line that shows it."""

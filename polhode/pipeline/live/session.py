@@ -13,8 +13,7 @@ from polhode.geometry.lie import Array, Bools
 from polhode.pipeline.live.arrivals import Arrivals, require_pairs
 from polhode.pipeline.live.recording import ImageRecording
 from polhode.pipeline.run import RunResult, run
-from polhode.pipeline.stream.live_state import LiveState
-from polhode.pipeline.stream.stream import CameraMotion, Stream
+from polhode.pipeline.stream.stream import CameraMotion, LiveState, Stream
 from polhode.records.rig_calibration import StereoCalibration
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.argument_names import errors_name_arguments

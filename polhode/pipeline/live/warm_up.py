@@ -10,8 +10,6 @@ from polhode.frontend.matching.pairs import PairMatch, match_pair
 from polhode.frontend.rectification import RectifiedPair
 from polhode.geometry.camera import RectifiedRig
 
-SIDE_PX, DISPARITY_PX = 160, 30
-"""Of the square with texture, and of all its points beyond that of infinity."""
 STEP_PX = 2
 """That the square moves from the first pair to the second"""
 
@@ -28,9 +26,12 @@ def warm_up_stream(rig: RectifiedRig, config: Config) -> PairMatch | None:
 
 
 def _made_up_pair(rig: RectifiedRig, right_px: int) -> RectifiedPair:
-    """A square with texture that faces the cameras before a black sky, moved to the right."""
+    """A square with texture that faces the cameras before a black sky, moved to the right.
+
+    All its points have a disparity of 30 px beyond that of infinity.
+    """
     size = rig.height_px, rig.width_px
-    side = min(SIDE_PX, rig.height_px // 2, rig.width_px // 2)
+    side = min(160, rig.height_px // 2, rig.width_px // 2)
     noise = np.random.default_rng(0).standard_normal((side, side))
     texture = cv2.GaussianBlur(noise, (0, 0), 2.0) + cv2.GaussianBlur(noise, (0, 0), 5.0)
     grey = np.clip(128.0 + 40.0 * texture / texture.std(), 20.0, 235.0).astype(np.uint8)
@@ -38,8 +39,7 @@ def _made_up_pair(rig: RectifiedRig, right_px: int) -> RectifiedPair:
     v, u = (size[0] - side) // 2, (size[1] - side) // 2
     place = slice(v, v + side), slice(u, u + side)
     left[place], mask[place] = grey, True
-    disparity = DISPARITY_PX + round(rig.disparity_offset_px)
-    to_right_px = right_px - disparity
+    to_right_px = right_px - 30 - round(rig.disparity_offset_px)
     return RectifiedPair(
         left=np.roll(left, right_px, axis=1),
         right=np.roll(left, to_right_px, axis=1),

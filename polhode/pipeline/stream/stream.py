@@ -6,10 +6,11 @@ differs is the association, which here depends on this pair and earlier ones onl
 """
 
 import logging
+from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,7 +30,6 @@ from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.pipeline.stream.ahead import Ahead, ComingPair
-from polhode.pipeline.stream.live_state import LiveState
 from polhode.pipeline.stream_results import Observations, Streamed, observations_of
 from polhode.records.dataset import StereoImages
 from polhode.records.estimate import OnlineEstimate
@@ -40,6 +40,39 @@ from polhode.runtime.processes import worker_count
 
 _log = logging.getLogger(__name__)
 UNKNOWN = np.full(3, np.nan)
+Status = Literal["searching", "predicted", "measured"]
+RPM = 30.0 / np.pi
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveState(OnlineState):
+    """The state after a pair, from this pair and earlier ones; variances are inf where undetermined.
+
+    G is the frame of the stream: it begins again, as ``restarts`` counts, when the motion was lost.
+    """
+
+    number: int
+    """Of the pair, counted from 0"""
+    status: Status
+    """searching: no motion is known yet; predicted: the pair shows nothing that agrees, the dynamics bridge
+    it; measured"""
+    observations: int
+    """Of this pair, that agree with the motion"""
+    restarts: int
+    sigma_rate: float
+    """Standard deviation of the size of w [rad/s], which is known long before the axes are; inf: unknown"""
+    seconds: Mapping[str, float]
+    """Time of each stage: features, matching, window"""
+
+    @property
+    def rate_rpm(self) -> float:
+        """Rate of rotation."""
+        return float(np.linalg.norm(self.w_P)) * RPM
+
+    @property
+    def sigma_rate_rpm(self) -> float:
+        """Its standard deviation; inf: unknown."""
+        return self.sigma_rate * RPM
 
 
 @dataclass(frozen=True)

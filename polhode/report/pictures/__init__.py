@@ -1,6 +1,6 @@
 """Pictures of a run and of what follows from it. They illustrate; no result depends on them.
 
-In: tracks, estimate and surface. Out: images, which polhode/pipeline/run_pictures.py writes into
+In: tracks, estimate and surface. Out: images, which polhode/pipeline/write_results.py writes into
 RUN/pictures.
 
 - mask_strip: outlines of masks that were found before a background that is not dark

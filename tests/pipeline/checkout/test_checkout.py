@@ -1,7 +1,6 @@
 """polhode checkout: its files, its status, another calibration, bad input, and what a run warns of."""
 
 import json
-import logging
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import yaml
 
 from polhode.cli.main import main
 from polhode.frontend.rectification import make_rectifier
-from polhode.geometry.lie import Array, Ints, exp_so3, make_pose
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.pipeline.checkout.checkout import Checkout, checkout, warn_before_run
 from polhode.pipeline.checkout.page import render
 from polhode.pipeline.checkout.result import SCHEMA_FILE, CheckoutResult
@@ -24,7 +23,6 @@ from polhode.run_directory.summary_schema import json_schema, json_text
 
 Capture = pytest.CaptureFixture[str]
 FEW_MATCHES = ("median number of matches between successive pairs", "successive pairs that match")
-WITHOUT_IMAGES = {"clock offset of the right camera", "unpaired images"}
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +58,6 @@ def test_the_files_have_every_check_and_the_command_says_what_does_not_pass(
     printed, checks = capsys.readouterr().out, done.result.checks
     assert printed.splitlines()[-1] == f"Checkout: {tmp_path / 'out' / 'checkout.html'}"
     passed = sum(check.status == "PASS" for check in checks)
-    assert len(checks) - len(FEW_MATCHES) <= passed < len(checks)
     assert f"WARN: {passed} of {len(checks)} checks pass, 6 of 14 pairs examined" in printed
     found = f"{done.result.named(FEW_MATCHES[0]).value:.0f}"
     assert f"WARN  {FEW_MATCHES[0]}: {found} (at least 20). Record at a higher" in printed
@@ -70,8 +67,7 @@ def test_the_files_have_every_check_and_the_command_says_what_does_not_pass(
     page = render(done, "<seq>")
     assert "&lt;seq&gt;" in page and "<seq>" not in page
     assert "data:image/jpeg;base64," in page and 'src="http' not in page
-    for key in ("rows-map", "rows-slopes", "ranges", "turns", "images", "times"):
-        assert f'data-target="plot-{key}"' in page
+    assert page.count('data-target="plot-') == 1
     for check in checks:
         assert check.name in page and check.advice.endswith(".") and check.finding.endswith(".")
 
@@ -92,7 +88,7 @@ def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_
     content = yaml.safe_load(sensor.read_text())
     content["T_BS"]["data"] = tilted(np.array(content["T_BS"]["data"]).reshape(4, 4)).ravel().tolist()
     sensor.write_text(yaml.safe_dump(content))
-    result = checkout(rendered_sequence, rig, workers=1, count=3).result
+    result = checkout(rendered_sequence, rig, workers=1, count=2).result
     pitch = result.named("pitch of the right camera")
     assert (result.rig, result.status, pitch.status) == ("given", "FAIL", "FAIL")
     assert pitch.value == pytest.approx(0.3, abs=0.03) and "deg down" in pitch.finding
@@ -101,37 +97,31 @@ def test_another_rig_is_checked_against_the_images(rendered_sequence: Path, tmp_
     assert result.named("median number of stereo features per pair").value > 100  # type: ignore[operator]
 
 
-def shifted(source: Path, folder: Path, offset_ns: int) -> Path:
-    """A copy whose right camera's clock differs."""
-    shutil.copytree(source, folder)
-    camera = folder / "mav0" / "cam1"
-    stamps: Ints = np.array(sorted(int(file.stem) for file in (camera / "data").iterdir()), dtype=np.int64)
-    for stamp in stamps.tolist():
+def shift_clock(sequence: Path, offset_ns: int) -> None:
+    """The right camera's clock differs."""
+    camera = sequence / "mav0" / "cam1"
+    stamps = sorted(int(file.stem) for file in (camera / "data").iterdir())
+    for stamp in stamps:
         image_path(camera, stamp).rename(image_path(camera, stamp + offset_ns))
-    write_camera_csv(camera, stamps + offset_ns)
-    return folder
+    write_camera_csv(camera, [stamp + offset_ns for stamp in stamps])
 
 
-def test_clocks_that_differ_are_a_warning_with_the_offset(rendered_sequence: Path, tmp_path: Path) -> None:
-    sequence = shifted(rendered_sequence, tmp_path / "apart", 4_000)
-    result = checkout(sequence, workers=1, count=1).result
-    check = result.named("clock offset of the right camera")
-    assert (check.value, check.status, result.pairs) == (4.0, "WARN", 14)
-
-
-def test_clocks_without_a_common_time_fail_instead_of_being_bad_input(
+def test_clocks_that_differ_are_a_warning_and_without_a_common_time_fail(
     small_sequence: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    sequence = shifted(small_sequence, tmp_path / "apart", 3_600_000_000_000)
-    assert main(["checkout", str(sequence), "-o", str(tmp_path / "out")]) == 0
+    shift_clock(small_sequence, 4_000)
+    result = checkout(small_sequence, workers=1, count=1).result
+    check = result.named("clock offset of the right camera")
+    assert (check.value, check.status, result.pairs) == (4.0, "WARN", 6)
+    shift_clock(small_sequence, 3_600_000_000_000)
+    assert main(["checkout", str(small_sequence), "-o", str(tmp_path / "out")]) == 0
     assert "FAIL  unpaired images: 100 % (at most 60 %)" in capsys.readouterr().out
     content = json.loads((tmp_path / "out" / "checkout.json").read_text())
     assert (content["status"], content["pairs"]) == ("FAIL", 0)
-    assert {check["name"] for check in content["checks"]} == WITHOUT_IMAGES
-    assert (
-        "No stamp of the left camera is near enough to one of the right camera"
-        in (tmp_path / "out" / "checkout.html").read_text()
-    )
+    names = {check["name"] for check in content["checks"]}
+    assert names == {"clock offset of the right camera", "unpaired images"}
+    page = (tmp_path / "out" / "checkout.html").read_text()
+    assert "No stamp of the left camera is near enough to one of the right camera" in page
 
 
 @pytest.mark.parametrize(
@@ -148,25 +138,27 @@ def test_clocks_without_a_common_time_fail_instead_of_being_bad_input(
 def test_bad_input_is_one_line_and_nothing_is_written(
     change: str, words: str, small_sequence: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    sequence, more, out = small_sequence, [], tmp_path / "out"
+    sequence, rig, out = small_sequence, "", tmp_path / "out"
     mav0 = sequence / "mav0"
-    if change == "no sequence":
-        sequence = tmp_path / "nothing"
-    elif change == "no camera":
-        shutil.rmtree(mav0 / "cam1")
-    elif change == "black":
-        for file in mav0.rglob("*.png"):
-            write_png(file, np.zeros((48, 64), dtype=np.uint8))
-    elif change == "no rig":
-        more = ["--rig", str(tmp_path / "no_rig")]
-    elif change == "other size":
-        shutil.copytree(mav0, tmp_path / "rig")
-        for file in (tmp_path / "rig").rglob("sensor.yaml"):
-            file.write_text(file.read_text().replace("[64, 48]", "[128, 96]"))
-        more = ["--rig", str(tmp_path / "rig")]
-    else:
-        file = mav0 / "cam0" / "sensor.yaml"
-        file.write_text(file.read_text().replace("intrinsics: [", "intrinsics: [.nan, "))
+    match change:
+        case "no sequence":
+            sequence = tmp_path / "nothing"
+        case "no camera":
+            shutil.rmtree(mav0 / "cam1")
+        case "black":
+            for file in mav0.rglob("*.png"):
+                write_png(file, np.zeros((48, 64), dtype=np.uint8))
+        case "no rig":
+            rig = "no_rig"
+        case "other size":
+            rig = "rig"
+            shutil.copytree(mav0, tmp_path / rig)
+            for file in (tmp_path / rig).rglob("sensor.yaml"):
+                file.write_text(file.read_text().replace("[64, 48]", "[128, 96]"))
+        case _:
+            file = mav0 / "cam0" / "sensor.yaml"
+            file.write_text(file.read_text().replace("intrinsics: [", "intrinsics: [.nan, "))
+    more = ["--rig", str(tmp_path / rig)] if rig else []
     assert main(["checkout", str(sequence), *more, "-o", str(out)]) == 2
     stderr = capsys.readouterr().err
     assert words in stderr and stderr.count("\n") == 1
@@ -177,12 +169,10 @@ def test_a_run_warns_of_a_tilted_rig_and_not_of_a_sound_one(
     rendered_sequence: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     sequence = open_sequence(rendered_sequence)
-    with caplog.at_level(logging.WARNING):
-        warn_before_run(sequence, make_rectifier(sequence.calibration))
+    warn_before_run(sequence, make_rectifier(sequence.calibration))
     assert caplog.messages == []
     calibration = replace(sequence.calibration, X_BC1=tilted(sequence.calibration.X_BC1))
-    with caplog.at_level(logging.WARNING):
-        warn_before_run(replace(sequence, calibration=calibration), make_rectifier(calibration))
+    warn_before_run(replace(sequence, calibration=calibration), make_rectifier(calibration))
     assert any(line.startswith("checkout: FAIL: pitch of the right camera") for line in caplog.messages)
 
 
@@ -194,6 +184,5 @@ def test_places_are_spread_and_avoid_gaps() -> None:
     np.testing.assert_array_equal(places(stamps[:7]), np.arange(7))
     # every other step is a gap
     uneven = np.cumsum(np.tile([500_000_000, 500_000_000, 5_000_000_000], 20)).astype(np.int64)
-    found = places(uneven, 4)
-    pairs = found.reshape(-1, 2)
+    pairs = places(uneven, 4).reshape(-1, 2)
     assert (np.diff(uneven[pairs], axis=1) == 500_000_000).all()

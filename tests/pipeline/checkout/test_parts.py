@@ -64,23 +64,23 @@ def test_twist_moves_points_as_the_pose_does(w: tuple[float, float, float]) -> N
 
 
 @pytest.mark.parametrize(
-    ("right", "found", "words"),
+    ("right", "offset", "unpaired", "words"),
     [
-        (LEFT + 4_000, [(4.0, "WARN"), (0.0, "PASS")], "4 us"),
-        (LEFT - 4_000, [(4.0, "WARN"), (0.0, "PASS")], "before"),
-        (LEFT + 200_000_000, [(200_000.0, "WARN"), (0.0, "PASS")], "(0.4 frames) after"),
-        (LEFT, [(0.0, "PASS"), (0.0, "PASS")], "no constant difference"),
-        (LEFT[:-1], [(0.0, "PASS"), (5.0, "PASS")], ""),
-        (LEFT[::2], [(0.0, "PASS"), (50.0, "WARN")], ""),
-        (LEFT[::4], [(0.0, "PASS"), (75.0, "FAIL")], ""),
-        (LEFT + 10**15, [(None, "FAIL"), (100.0, "FAIL")], "near enough"),
+        (LEFT + 4_000, (4.0, "WARN"), (0.0, "PASS"), "4 us"),
+        (LEFT - 4_000, (4.0, "WARN"), (0.0, "PASS"), "before"),
+        (LEFT + 200_000_000, (200_000.0, "WARN"), (0.0, "PASS"), "(0.4 frames) after"),
+        (LEFT, (0.0, "PASS"), (0.0, "PASS"), "no constant difference"),
+        (LEFT[:-1], (0.0, "PASS"), (5.0, "PASS"), ""),
+        (LEFT[::2], (0.0, "PASS"), (50.0, "WARN"), ""),
+        (LEFT[::4], (0.0, "PASS"), (75.0, "FAIL"), ""),
+        (LEFT + 10**15, (None, "FAIL"), (100.0, "FAIL"), "near enough"),
     ],
 )
 def test_offsets_of_the_clocks_and_unpaired_images(
-    right: Ints, found: list[tuple[float | None, str]], words: str
+    right: Ints, offset: tuple[float | None, str], unpaired: tuple[float, str], words: str
 ) -> None:
     checks = stamp_checks(Stamps(LEFT, right))
-    assert [(check.value, check.status) for check in checks] == found
+    assert [(check.value, check.status) for check in checks] == [offset, unpaired]
     assert words in checks[0].finding and checks[0].unit == "us"
 
 

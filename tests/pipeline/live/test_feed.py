@@ -1,6 +1,5 @@
 """Pairs on their way: what becomes of late, repeated and missing ones, and the queue before the estimate."""
 
-import logging
 from collections.abc import Callable, Iterator
 from time import sleep
 from typing import Any
@@ -22,8 +21,7 @@ def test_late_pairs_are_refused_and_gaps_named_in_a_sentence_that_counts(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     arrivals = Arrivals()
-    with caplog.at_level(logging.WARNING):
-        taken = [arrivals.accepts(stamp) for stamp in (10, 20, 15, 20, 30)]
+    taken = [arrivals.accepts(stamp) for stamp in (10, 20, 15, 20, 30)]
     assert taken == [True, True, False, False, True]
     assert "15 ns" in caplog.text and "20 ns" in caplog.text
     late, same = arrivals.warnings
@@ -39,12 +37,14 @@ def test_late_pairs_are_refused_and_gaps_named_in_a_sentence_that_counts(
     assert f"({NAMED + 3})" in line and line.endswith(f"{NAMED - 1} ns, ...")
 
 
-def source(count: int) -> Callable[[Callable[[], bool]], Items]:
+def source(count: int, broken: bool = False) -> Callable[[Callable[[], bool]], Items]:
     def pairs(stopped: Callable[[], bool]) -> Items:
         for k in range(count):
             if stopped():
                 return
             yield SourcePair((k * STEP_NS, k * STEP_NS), ("a", "b"), GREY, GREY, (None, None), None)
+        if broken:
+            raise InputError("data.csv line 2: no number")
 
     return pairs
 
@@ -70,7 +70,7 @@ def test_without_a_pace_nothing_is_dropped_and_a_replay_keeps_its_pace() -> None
     assert len(arrived) == 5 and arrived[-1].at - arrived[0].at >= 0.19
 
 
-def test_the_oldest_that_waits_is_dropped_and_named_and_stopping_ends_the_source() -> None:
+def test_the_oldest_that_waits_is_dropped_and_named_stopping_ends_the_source_and_errors_arrive() -> None:
     with Feed(source(QUEUE_PAIRS + 3), None) as feed:
         sleep(0.5)
         assert drain(feed)[:2] == (list(range(3, QUEUE_PAIRS + 3)), [0, 1, 2])
@@ -78,15 +78,9 @@ def test_the_oldest_that_waits_is_dropped_and_named_and_stopping_ends_the_source
         assert feed.next(2.0) is not None
         feed.stop()
     assert len(drain(feed)[0]) < 10_000
-
-
-def test_an_error_of_the_source_arrives_after_what_came_before() -> None:
-    def broken(stopped: Callable[[], bool]) -> Items:
-        yield from source(1)(stopped)
-        raise InputError("data.csv line 2: no number")
-
-    with Feed(broken, None) as feed:
+    with Feed(source(1, broken=True), None) as feed:
         sleep(0.2)
+        # after what came before
         assert isinstance(feed.next(), Arrived)
         with pytest.raises(InputError, match="line 2"):
             feed.next(2.0)

@@ -21,7 +21,7 @@ from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier
 from polhode.geometry.lie import inverse_pose
 from polhode.mapping.visibility import Caster, MeshViewer
-from polhode.pipeline import run_pictures as pictures
+from polhode.pipeline import write_results as pictures
 from polhode.pipeline.context import RunContext
 from polhode.records.dataset import StereoImages, StereoSequence
 from polhode.report.pictures.body_views import (
@@ -92,7 +92,9 @@ def make(run: Any, folder: Path, config: Pictures, **changed: Any) -> set[str]:
     """Names of the pictures that come out."""
     given = {"estimate": run.estimate, "surface": run.surface} | changed
     context = RunContext(run.sequence, run.rectifier, Config(pictures=config), Silent())
-    pictures.make_pictures(context, folder, run.tracks, given["estimate"], given["surface"])
+    motion: Any = SimpleNamespace(tracks=run.tracks, estimate=given["estimate"])
+    coloured: Any = SimpleNamespace(surface=given["surface"], sun_N=None)
+    pictures.write_pictures.make(context, folder, motion, coloured)
     place = folder / "pictures"
     return {file.name for file in place.iterdir() if not file.name[0].isdigit()}
 

@@ -17,7 +17,6 @@ the same source, as the disturbances of the dynamics, makes the sum too large, s
 than it is.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,12 +45,9 @@ def part_checks(tracks: StereoTracks, estimate: MotionEstimate, config: Backend)
     """Forward prediction, halves, outline and interior."""
     frames = np.arange(0, tracks.n_frames, frame_step(tracks.n_frames))
 
-    def solve(rows: Bools) -> MotionEstimate | None:
-        """The estimate of some observations (M,), with states in ``frames``; None: there is none."""
-        return estimate_part(tracks, estimate, config, rows, frames)
-
     def compare(key: str, first: Bools, second: Bools, at: Ints, contained: bool, **facts: Any) -> Check:
-        a, b = solve(first), solve(second)
+        """Of two sets of observations (M,), with states in ``frames``."""
+        a, b = (estimate_part(tracks, estimate, config, rows, frames) for rows in (first, second))
         found = None if a is None or b is None else largest(disagreements(a, b, at, contained))
         if found is None:
             return make_check(key, None)
@@ -106,9 +102,22 @@ def disagreements(a: MotionEstimate, b: MotionEstimate, at: Ints, contained: boo
 
     ``contained``: the measurements of ``a`` are among those of ``b``.
     """
+    # by quantity: a minus b (n,), covariance of a (n, n), of b (n, n)
+    pairs: dict[str, list[tuple[Array, Array, Array]]] = {}
+    for name, part, d in (("position", slice(0, 3), a.r_N - b.r_N), ("velocity", slice(3, 6), a.v_N - b.v_N)):
+        pairs[name] = [(d[k], a.covariance[k, part, part], b.covariance[k, part, part]) for k in at]
+    P_a, P_b = a.covariance_last_body, b.covariance_last_body
+    if P_a is not None and P_b is not None:
+        R_a, R_b = (each.X_NG[0, :3, :3].T @ each.X_NG[-1, :3, :3] for each in (a, b))
+        rotation, rate = slice(6, 9), slice(9, 12)
+        pairs["rotation"] = [(log_so3(R_b.T @ R_a), P_a[rotation, rotation], P_b[rotation, rotation])]
+        w_a, w_b = (each.mass.R_GP @ each.w_P[-1] for each in (a, b))
+        pairs["rate"] = [(w_a - w_b, P_a[rate, rate], P_b[rate, rate])]
+    k = np.array([a.mass.k1 - b.mass.k1, a.mass.k2 - b.mass.k2])
+    pairs["inertia"] = [(k, a.mass.cov_k, b.mass.cov_k)]
     found = []
-    for name, pairs in _differences(a, b, at):
-        squares = [s for s in (_mean_square(*pair, contained) for pair in pairs) if s is not None]
+    for name, each in pairs.items():
+        squares = [s for s in (_mean_square(*pair, contained) for pair in each) if s is not None]
         if squares:
             found.append(Disagreement(name, float(np.sqrt(np.mean(squares)))))
     return found
@@ -117,24 +126,6 @@ def disagreements(a: MotionEstimate, b: MotionEstimate, at: Ints, contained: boo
 def largest(found: list[Disagreement]) -> Disagreement | None:
     """The quantity that differs most; None: none is determined."""
     return max(found, key=lambda each: each.sigmas, default=None)
-
-
-Difference = tuple[Array, Array, Array]
-"""a minus b (n,), covariance of a (n, n), of b (n, n)"""
-
-
-def _differences(a: MotionEstimate, b: MotionEstimate, at: Ints) -> Iterator[tuple[str, list[Difference]]]:
-    for name, part, d in (("position", slice(0, 3), a.r_N - b.r_N), ("velocity", slice(3, 6), a.v_N - b.v_N)):
-        yield name, [(d[k], a.covariance[k, part, part], b.covariance[k, part, part]) for k in at]
-    P_a, P_b = a.covariance_last_body, b.covariance_last_body
-    if P_a is not None and P_b is not None:
-        R_a, R_b = (each.X_NG[0, :3, :3].T @ each.X_NG[-1, :3, :3] for each in (a, b))
-        rotation, rate = slice(6, 9), slice(9, 12)
-        yield "rotation", [(log_so3(R_b.T @ R_a), P_a[rotation, rotation], P_b[rotation, rotation])]
-        w_a, w_b = (each.mass.R_GP @ each.w_P[-1] for each in (a, b))
-        yield "rate", [(w_a - w_b, P_a[rate, rate], P_b[rate, rate])]
-    k = np.array([a.mass.k1 - b.mass.k1, a.mass.k2 - b.mass.k2])
-    yield "inertia", [(k, a.mass.cov_k, b.mass.cov_k)]
 
 
 def _mean_square(difference: Array, P_a: Array, P_b: Array, contained: bool) -> float | None:

@@ -22,16 +22,12 @@ from polhode.records.tracks import StereoTracks
 from polhode.run_directory.check_table import CHECK_TABLE, make_check
 from polhode.run_directory.summary_schema import Check
 
-REGIONS = 4
-"""Along either side of the part of the image in which landmarks were seen."""
-MIN_IN_REGION, MIN_IN_FRAME, MIN_MEANS = 30, 8, 4
-"""Observations of a mean that counts, and number of such means."""
+MIN_IN_REGION, MIN_IN_FRAME = 30, 8
+"""Observations of a mean that counts."""
 FULL_WEIGHT = 0.1
 """Observations with less weight contradict the motion, and are counted elsewhere."""
 MIN_STEP_FRAMES = 3
 """Frames on either side of a step."""
-MIN_SUN_LANDMARKS = 30
-"""Seen at least twice, for the slide with the Sun"""
 
 
 @dataclass(frozen=True)
@@ -52,12 +48,23 @@ def residual_checks(tracks: StereoTracks, estimate: MotionEstimate) -> list[Chec
     """Means by frame and by region, a step, dependence on the disparity, and from frame to frame."""
     found = agreeing_residuals(tracks, estimate)
     by_frame = means_in_errors(found.whitened, found.frame, found.landmark, MIN_IN_FRAME)
-    by_region = _means_by_region(found)
+    by_region = np.zeros((0, 3))
+    if len(found.frame):
+        # four regions along either side of the part of the image in which landmarks were seen
+        uv, regions = found.uvd_px[:, :2], 4
+        low, high = np.quantile(uv, [0.02, 0.98], axis=0)
+        cell = np.clip((uv - low) / np.maximum(high - low, 1e-9) * regions, 0, regions - 1).astype(np.int64)
+        number = cell[:, 0] * regions + cell[:, 1]
+        by_region = means_in_errors(found.whitened, number, found.landmark, MIN_IN_REGION)
+
+    def root_mean_square(means: Array) -> float | None:
+        return float(np.sqrt(np.mean(np.square(means)))) if len(means) >= 4 else None
+
     return [
-        make_check("residuals by frame", _root_mean_square(by_frame[:, 2])),
+        make_check("residuals by frame", root_mean_square(by_frame[:, 2])),
         step_check(found),
-        make_check("residuals of u, v by region", _root_mean_square(by_region[:, :2])),
-        make_check("residuals of disparity by region", _root_mean_square(by_region[:, 2])),
+        make_check("residuals of u, v by region", root_mean_square(by_region[:, :2])),
+        make_check("residuals of disparity by region", root_mean_square(by_region[:, 2])),
         _disparity_correlation(found),
         _frame_to_frame_correlation(found),
     ]
@@ -93,20 +100,6 @@ def means_in_errors(values: Array, group: Ints, landmark: Ints, least: int) -> A
     clusters = np.stack([np.bincount(pair[0], of_landmark[:, c] ** 2, n) for c in columns], axis=1)
     variance = np.maximum(clusters, count[:, None])[enough]
     return np.asarray(sums[enough] / np.sqrt(variance))
-
-
-def _root_mean_square(means: Array) -> float | None:
-    """Of (n, c) means; None: they are too few."""
-    return float(np.sqrt(np.mean(np.square(means)))) if len(means) >= MIN_MEANS else None
-
-
-def _means_by_region(found: Residuals) -> Array:
-    if not len(found.frame):
-        return np.zeros((0, 3))
-    uv = found.uvd_px[:, :2]
-    low, high = np.quantile(uv, [0.02, 0.98], axis=0)
-    cell = np.clip((uv - low) / np.maximum(high - low, 1e-9) * REGIONS, 0, REGIONS - 1).astype(np.int64)
-    return means_in_errors(found.whitened, cell[:, 0] * REGIONS + cell[:, 1], found.landmark, MIN_IN_REGION)
 
 
 def step_check(found: Residuals) -> Check:
@@ -176,7 +169,7 @@ def sun_check(tracks: StereoTracks, estimate: MotionEstimate, sun_N: Array | Non
     good = np.flatnonzero(estimate.inlier_weight > FULL_WEIGHT)
     landmark = tracks.landmark[good]
     count = np.bincount(landmark, minlength=tracks.n_landmarks)
-    if sun_N is None or np.sum(count > 1) < MIN_SUN_LANDMARKS:
+    if sun_N is None or np.sum(count > 1) < 30:
         return make_check("sun", None)
     frame, rig = tracks.frame[good], tracks.rig
     residual = estimate.residuals_px[good]

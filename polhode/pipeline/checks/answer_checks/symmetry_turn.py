@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
 from polhode.records.surface import DepthMap
 from polhode.run_directory.check_table import make_check
 from polhode.run_directory.summary_schema import Check
@@ -32,21 +32,12 @@ from polhode.run_directory.summary_schema import Check
 MAX_SLIP = 0.1
 """Velocity along the normals over that of the points, root mean square, of a body of revolution. Measured
 ones have 0.04 to 0.09, other bodies at least 0.12."""
-MIN_MARK_DN, MAX_MARK_DN = 5.0, 40.0
-"""Contrast of a mark; a reflection counts no more than the second."""
-APART_PX, STEP_PX = 6.0, 1.5
-"""Displacement of the surface from where on a turn is another one, and between those that are tried."""
-MAX_TURN_RAD, MAX_STEPS = np.deg2rad(45.0), 40
-"""Turns that are tried, to either side."""
+APART_PX = 6.0
+"""Displacement of the surface from where on a turn is another one."""
 MAX_SIDE_PX = 640
 """Larger pictures are reduced."""
-POINTS = 2500
+MIN_POINTS, MAX_POINTS = 300, 2500
 """Of a frame"""
-MIN_POINTS, MIN_PAIRS = 300, 3
-LOCAL_PX = 3.0
-"""Scale of the local mean of the grey values."""
-TRIMMED_SHARE = 0.1
-"""Share of the surface that may differ: struts, antennas."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +102,7 @@ def pair_view(
 def rotation_check(views: Sequence[PairView], rig: RectifiedRig, interval_s: float) -> Check:
     """Whether the rotation about the axis of symmetry shows; without a value where there is no such axis."""
     key = "symmetry rotation"
-    if len(views) < MIN_PAIRS:
+    if len(views) < 3:
         return make_check(key, None)
     axis = slippable_axis(
         np.concatenate([view.p_G for view in views]), np.concatenate([view.normal_G for view in views])
@@ -119,8 +110,10 @@ def rotation_check(views: Sequence[PairView], rig: RectifiedRig, interval_s: flo
     if axis.slip > MAX_SLIP:
         return make_check(key, None)
     per_rad_px = axis.radius_m * float(np.median([view.radius_px for view in views]))
-    step_rad, apart_rad = max(STEP_PX / per_rad_px, MAX_TURN_RAD / MAX_STEPS), APART_PX / per_rad_px
-    count = max(int(MAX_TURN_RAD / step_rad), 1)
+    # turns of up to 45 deg to either side, by 1.5 px of the surface, at most 40
+    most_rad, apart_rad = np.deg2rad(45.0), APART_PX / per_rad_px
+    step_rad = max(1.5 / per_rad_px, most_rad / 40)
+    count = max(int(most_rad / step_rad), 1)
     turns_rad = step_rad * np.arange(-count, count + 1)
     fit, marked = turn_agreement(views, axis, rig, turns_rad)
     found_rad = [
@@ -158,7 +151,8 @@ def slippable_axis(p_G: Array, normal_G: Array) -> Axis:
         w = vectors[:, 0]
         v = best @ w
         along = np.abs(rows @ np.concatenate([w, v]))
-        kept = along <= np.quantile(along, 1.0 - TRIMMED_SHARE)
+        # a tenth of the surface may differ: struts, antennas
+        kept = along <= np.quantile(along, 1.0 - 0.1)
     point = centre + size * np.cross(w, v)
     radius = np.linalg.norm(np.cross(p_G - point, w), axis=1)
     return Axis(point, w, float(np.sqrt(max(values[0], 0.0))), float(np.sqrt(np.mean(radius**2))))
@@ -177,7 +171,7 @@ def turn_agreement(
         before, after = (_marks_along_circles(view, picture, X_GG, rig) for picture in view.pictures)
         mark = before[:, len(turns_rad) // 2]
         known = np.abs(mark[np.isfinite(mark)])
-        shares.append(float(np.mean(known > MIN_MARK_DN)) if len(known) else 0.0)
+        shares.append(float(np.mean(known > 5.0)) if len(known) else 0.0)
         fits.append([_correlation(mark, column) for column in after.T])
     with np.errstate(all="ignore"):
         return np.asarray(np.median(np.array(fits), axis=0)), float(np.median(shares))
@@ -197,7 +191,8 @@ def _marks_along_circles(view: PairView, picture: Picture, X_GG: Array, rig: Rec
     enough = known.mean(axis=1) > 0.4
     out[~enough] = np.nan
     out[enough] -= np.nanmedian(out[enough], axis=1, keepdims=True) if enough.any() else 0.0
-    return np.asarray(np.clip(out, -MAX_MARK_DN, MAX_MARK_DN))
+    # a reflection counts no more than this
+    return np.asarray(np.clip(out, -40.0, 40.0))
 
 
 def _correlation(a: Array, b: Array) -> float:
@@ -220,16 +215,11 @@ def _picture(frame: DepthMap, X_RG: Array) -> Picture | None:
     fine = frame.intensity[v0:v1, u0:u1].astype(np.float32)
     coarse = cv2.blur(fine, (int(stride), int(stride))) if stride > 1 else fine
     grey, inside = coarse[::stride, ::stride], known[v0:v1:stride, u0:u1:stride].astype(np.float32)
-    around = np.maximum(cv2.GaussianBlur(inside, (0, 0), LOCAL_PX), 1e-3)
-    marks = inside * (grey - cv2.GaussianBlur(grey * inside, (0, 0), LOCAL_PX) / around)
+    around = np.maximum(cv2.GaussianBlur(inside, (0, 0), 3.0), 1e-3)
+    marks = inside * (grey - cv2.GaussianBlur(grey * inside, (0, 0), 3.0) / around)
     away = cv2.erode(inside, np.ones((9, 9), np.uint8), borderValue=0.0)
-    return Picture(
-        np.asarray(marks, np.float32),
-        np.asarray(away, np.float32),
-        np.array([u0, v0], dtype=np.float64),
-        int(stride),
-        X_RG,
-    )
+    grey_marks, inner = np.asarray(marks, np.float32), np.asarray(away, np.float32)
+    return Picture(grey_marks, inner, np.array([u0, v0], dtype=np.float64), int(stride), X_RG)
 
 
 def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tuple[Array, Array]:
@@ -251,13 +241,10 @@ def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tup
     normal = np.cross(down, ahead)
     length = np.linalg.norm(normal, axis=2)
     smooth = np.abs(ahead[..., 2]) + np.abs(down[..., 2]) < 0.06 * z
-    fit = _erode(known, 2 * step + 3) & smooth & (length > 0.0)
+    inner = cv2.erode(known.astype(np.uint8), np.ones((2 * step + 3,) * 2, np.uint8), borderValue=0) > 0
+    fit = inner & smooth & (length > 0.0)
     at = np.flatnonzero(fit)
     # the same points in every run
-    at = at[np.linspace(0, len(at) - 1, min(POINTS, len(at))).astype(np.int64)]
+    at = at[np.linspace(0, len(at) - 1, min(MAX_POINTS, len(at))).astype(np.int64)]
     normals = normal.reshape(-1, 3)[at] / length.reshape(-1)[at, None]
     return np.asarray(p_R.reshape(-1, 3)[at]), np.asarray(normals, dtype=np.float64)
-
-
-def _erode(mask: Bools, size: int) -> Bools:
-    return np.asarray(cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0) > 0)

@@ -9,6 +9,5 @@ reasons to doubt are in ``run_directory/check_table``.
 - self_calibration: the focal length that would fit best
 - pose_checks: whether time stamps, the inspector's poses and the rotation agree; whether landmarks connect
   all parts of the sequence
-- mass_check: whether the mass properties are the same before and after a push
-- centre_check: where the centre of mass was before and after an instant, by the poses alone
+- mass_check: whether centre of mass and mass properties are the same before and after a push
 """

@@ -21,8 +21,7 @@ from polhode.pipeline.checks.data_checks.self_calibration import (
     calibration_limits,
     focal_check,
 )
-from polhode.pipeline.context import RunContext
-from polhode.pipeline.found_background import doubts_of_masks
+from polhode.pipeline.context import RunContext, doubts_of_masks
 from polhode.records.estimate import MotionEstimate
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.check_table import attempt_checks, make_check

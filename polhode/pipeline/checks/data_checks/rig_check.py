@@ -1,7 +1,7 @@
 """Whether the images are those of the rig that the calibration describes: signs that need no truth.
 
 A wrong rig moves the target as a whole, and the residuals of the motion hardly show it. The rows of both
-images do: matches that ignore the epipolar constraint (``frontend/features/row_offsets``). Rows that differ
+images do: matches that ignore the epipolar constraint (``frontend/features/epipolar_search``). Rows that differ
 from some time on: one camera was knocked. Rows that differ with the speed at which the image moves: the
 cameras look at different times. Disparities below zero: the images of the pair are exchanged.
 
@@ -37,12 +37,6 @@ CLEAR_SIGMAS = 5.0
 which is 2.4 at most on undisturbed sequences, above four."""
 MIN_SCATTER_PX = 0.02
 """Of the rows' offsets within a frame"""
-MIN_DELAY_PX = 0.03
-"""What a delay must displace rows by, in the root mean square, beside what a calibration can explain; less is
-within the accuracy of a feature, and any slowly turning target makes a delay of it."""
-MAX_YAW_RAD, CLEAR_YAW_SIGMAS = 2e-3, 5.5
-"""Of the angle between the cameras, and in standard deviations: undisturbed sequences show 0.1 degrees at 4.6
-sigma at most."""
 EXCHANGED_SHARE = 0.7
 """Share of negative disparities in a pair whose images are exchanged."""
 
@@ -94,21 +88,18 @@ def rig_checks(
         late, size_ms = "late" if delay.seconds > 0 else "early", 1e3 * abs(delay.seconds)
         facts = {"late": late, "sigma_ms": 1e3 * delay.sigma_s}
         checks.append(make_check("camera delay", size_ms, 1e3 * delay.limit_s, **facts))
-    return [*checks, _yaw_check(context, tracks, estimate)]
-
-
-def _yaw_check(context: RunContext, tracks: StereoTracks, estimate: MotionEstimate) -> Check:
-    focal_px, key, noise = context.rig.focal_px, "step of disparities", estimate.noise
+    # of the angle between the cameras; undisturbed sequences show 0.1 degrees at 4.6 sigma at most
+    key, noise, least_px = "step of disparities", estimate.noise, 2e-3 * focal_px
     if not context.sequence.has_ranges:
         step_px, sigma_px = disparity_steps(tracks, (noise.pixel_sigma_px, noise.disparity_sigma_px))
-        limit_px = np.maximum(MAX_YAW_RAD * focal_px, CLEAR_YAW_SIGMAS * sigma_px)
+        limit_px = np.maximum(least_px, 5.5 * sigma_px)
         excess = np.abs(step_px) / limit_px
         if np.isfinite(excess).any():
             place = int(np.nanargmax(excess))
             degrees = np.rad2deg(abs(step_px[place]) / focal_px)
-            facts = {"step_px": step_px[place], "from_s": context.time_s[place + 1], "degrees": degrees}
-            return make_check(key, abs(step_px[place]), limit_px[place], **facts)
-    return make_check(key, None, MAX_YAW_RAD * focal_px)
+            facts = {"step_px": step_px[place], "from_s": time_s[place + 1], "degrees": degrees}
+            return [*checks, make_check(key, abs(step_px[place]), limit_px[place], **facts)]
+    return [*checks, make_check(key, None, least_px)]
 
 
 def row_lines(matches: Matches) -> Array:
@@ -177,9 +168,13 @@ class CameraDelay:
 
     @property
     def limit_s(self) -> float:
-        """A delay beyond it is a fault."""
+        """A delay beyond it is a fault.
+
+        It must displace rows by 0.03 px: less is within the accuracy of a feature, and any slowly turning
+        target makes a delay of it.
+        """
         trigger_s = 1e-3 * (CHECK_TABLE["camera delay"].limit or 0.0)
-        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, MIN_DELAY_PX / max(self.speed_px_s, 1e-9))
+        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, 0.03 / max(self.speed_px_s, 1e-9))
 
 
 class RowSpeeds(NamedTuple):

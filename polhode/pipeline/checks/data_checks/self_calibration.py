@@ -20,14 +20,11 @@ from polhode.records.tracks import StereoTracks
 from polhode.run_directory.check_table import CHECK_TABLE, frame_step, make_check
 from polhode.run_directory.summary_schema import Check
 
-MIN_OBSERVATIONS = 100
 CLEAR_SIGMAS = 6.0
 """Standard deviations from which on a focal length is another one"""
 SIGMA_SCATTER = 2.2
 """Of the focal lengths that fit best over undisturbed bodies, in their sigmas, which know of no errors that
 observations have in common (rms of 17 sequences)"""
-MIN_SHIFT_SIGMAS = 5.0
-"""A shift of the target that an unseen error may cause is worth a warning above so many of its sigmas."""
 LANDMARKS_AT_ONCE = 500
 """Are eliminated together: bounds the memory."""
 PRIOR = 1e-6
@@ -50,7 +47,7 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     """From the measurements that agree with the estimate, at least a hundred; None: there are fewer."""
     step = frame_step(tracks.n_frames)
     used = np.flatnonzero((estimate.inlier_weight > 0.0) & (tracks.frame % step == 0))
-    if len(used) < MIN_OBSERVATIONS:
+    if len(used) < 100:
         return None
     frames, frame = np.unique(tracks.frame[used], return_inverse=True)
     landmark = np.unique(tracks.landmark[used], return_inverse=True)[1]
@@ -89,7 +86,6 @@ def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
 
 
 def _clear_error(found: Correction) -> float:
-    """Relative error of the focal length from which on it is doubted."""
     return max(0.01 * (CHECK_TABLE["focal length"].limit or 0.0), CLEAR_SIGMAS * found.sigma_focal)
 
 
@@ -109,7 +105,8 @@ def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate:
     covariance = np.nan_to_num(estimate.covariance[:, :3, :3], posinf=1e12)
     sigma_m = np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along))
     error, distance = unseen_focal_error(found), float(np.median(distance_m))
-    if error * distance < MIN_SHIFT_SIGMAS * float(np.median(sigma_m)):
+    # worth a warning above five sigmas
+    if error * distance < 5.0 * float(np.median(sigma_m)):
         return []
     return [
         f"the sigmas take the calibration as right: a focal length wrong by up to {100.0 * error:.1f} % "

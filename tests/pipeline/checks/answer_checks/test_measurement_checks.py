@@ -11,8 +11,8 @@ from polhode.backend.subset_solution import estimate_part
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import stereo_jacobian
 from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose, transform_points
-from polhode.pipeline.checks.answer_checks.check_answer import check_answer
-from polhode.pipeline.checks.answer_checks.estimate_checks import (
+from polhode.pipeline.checks.answer_checks import check_answer as module
+from polhode.pipeline.checks.answer_checks.check_answer import (
     link_check,
     mirror_check,
     runner_up_check,
@@ -65,9 +65,7 @@ def changed(sequence: SyntheticSequence, change: Callable[[Array, Array], Array]
     """Points (M, 3) in the camera are moved by ``change`` of their Jacobian (M, 3, 3) and pose (M, 4, 4)."""
     tracks = sequence.tracks
     X_RG = (inverse_pose(tracks.X_NR) @ sequence.X_NG)[tracks.frame]
-    p_R = np.stack(
-        [transform_points(X, p[None])[0] for X, p in zip(X_RG, sequence.p_G[tracks.landmark], strict=True)]
-    )
+    p_R = transform_points(X_RG, sequence.p_G[tracks.landmark][:, None])[:, 0]
     J = stereo_jacobian(p_R, tracks.rig.focal_px, tracks.rig.baseline_m)
     return solved(replace(tracks, uvd_px=tracks.uvd_px + change(J, X_RG)), sequence)
 
@@ -77,48 +75,42 @@ def of_name(checks: list[Check], words: str) -> Check:
     return found
 
 
-def all_checks(case: Solved) -> list[Check]:
-    tracks, estimate = case
-    return [
+def test_an_undisturbed_sequence_passes_all(undisturbed: Solved) -> None:
+    tracks, estimate = undisturbed
+    runner_up = runner_up_check(estimate)
+    checks = [
         *part_checks(tracks, estimate, CONFIG),
         *residual_checks(tracks, estimate),
         sun_check(tracks, estimate, SUN_N),
         mirror_check(tracks, estimate),
-        runner_up_check(estimate),
     ]
-
-
-def test_an_undisturbed_sequence_passes_all(undisturbed: Solved) -> None:
-    checks = all_checks(undisturbed)
-    assert reasons_of(checks) == []
-    runner_up = of_name(checks, "second-best local minimum")
-    assert all(check.value is not None and check.value >= 0.0 for check in checks if check is not runner_up)
-    assert runner_up.limit is None
+    assert reasons_of([*checks, runner_up]) == [] and runner_up.limit is None
+    assert all(check.value is not None and check.value >= 0.0 for check in checks)
+    # a flat relief has a near mirror twin
+    near = replace(estimate, noise=replace(estimate.noise, disparity_sigma_px=50.0))
+    assert "inside out" in mirror_check(tracks, near).reason
 
 
 def test_the_part_that_is_everything_is_the_estimate(undisturbed: Solved) -> None:
     tracks, estimate = undisturbed
-    every = np.ones(len(tracks.frame), dtype=np.bool_)
-    again = estimate_part(tracks, estimate, CONFIG, every, np.arange(tracks.n_frames))
+    every, frames = np.ones(len(tracks.frame), dtype=np.bool_), np.arange(tracks.n_frames)
+    again = estimate_part(tracks, estimate, CONFIG, every, frames)
     assert again is not None
-    found = disagreements(again, estimate, np.arange(tracks.n_frames), contained=False)
+    found = disagreements(again, estimate, frames, contained=False)
     assert {each.quantity for each in found} >= {"position", "velocity", "rotation", "rate"}
     assert all(each.sigmas < 0.05 for each in found)
-    assert estimate_part(tracks, estimate, CONFIG, ~every, np.arange(tracks.n_frames)) is None
+    assert estimate_part(tracks, estimate, CONFIG, ~every, frames) is None
 
 
 def test_the_largest_disagreement_is_in_sigmas_of_the_difference(undisturbed: Solved) -> None:
     estimate = undisturbed[1]
     sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2)[:, :3])
-    off = replace(estimate, r_N=estimate.r_N + 4.0 * sigma)
-    at = np.arange(len(sigma))
-    diagonal = estimate.covariance * np.eye(12)
-    a, b = replace(off, covariance=diagonal), replace(estimate, covariance=diagonal)
-    found = largest(disagreements(a, b, at, contained=False))
-    assert found is not None and found.quantity == "position"
-    assert found.sigmas == pytest.approx(4.0 / np.sqrt(2.0))
-    nested = largest(disagreements(a, b, at, contained=True))
-    assert nested is not None and nested.sigmas == pytest.approx(4.0)
+    b = replace(estimate, covariance=estimate.covariance * np.eye(12))
+    a = replace(b, r_N=estimate.r_N + 4.0 * sigma)
+    for contained, expected in ((False, 4.0 / np.sqrt(2.0)), (True, 4.0)):
+        found = largest(disagreements(a, b, np.arange(len(sigma)), contained))
+        assert found is not None and found.quantity == "position"
+        assert found.sigmas == pytest.approx(expected)
     assert largest(found=[]) is None
 
 
@@ -133,8 +125,7 @@ def test_outline_and_interior_share_the_landmarks(undisturbed: Solved) -> None:
 
 
 def test_a_camera_that_is_late_shows_over_image_and_depth(sequence: SyntheticSequence) -> None:
-    w_N = sequence.X_NG[:, :3, :3] @ np.array(SCENE.w_G)
-    k = sequence.tracks.frame
+    w_N, k = sequence.X_NG[:, :3, :3] @ np.array(SCENE.w_G), sequence.tracks.frame
 
     def late(J: Array, X_RG: Array) -> Array:
         own_R = np.einsum("nij,nj->ni", X_RG[:, :3, :3], sequence.p_G[sequence.tracks.landmark])
@@ -152,20 +143,20 @@ def test_a_step_of_the_disparities_is_told_from_a_line_and_from_noise() -> None:
     frame = np.repeat(np.arange(40), 50)
     landmark, uvd_px, noise = np.arange(2000), np.ones((2000, 3)), rng.normal(size=(2000, 3))
 
-    def checked(mean: Array) -> Check:
-        return step_check(Residuals(frame, landmark, uvd_px, noise + mean[frame, None]))
+    def checked(mean: Array) -> tuple[float, str]:
+        check = step_check(Residuals(frame, landmark, uvd_px, noise + mean[frame, None]))
+        assert check.value is not None
+        return check.value, check.reason
 
     t = np.arange(40.0)
-    drift = checked(0.05 * t - 1.0)
-    assert not drift.reason and drift.value is not None and 0.5 < drift.value < 3.0
-    step = checked(0.05 * t - 1.0 + 0.5 * (t >= 20))
+    drift, reason = checked(0.05 * t - 1.0)
+    assert not reason and 0.5 < drift < 3.0
+    step, reason = checked(0.05 * t - 1.0 + 0.5 * (t >= 20))
     # the standard error of a step in the middle beside a line: four over the root of the number of values
-    assert step.value is not None
-    assert step.value == pytest.approx(0.5 / (4.0 / np.sqrt(2000)), abs=2.0)
-    assert any(f"about frame {k}" in step.reason for k in (19, 20, 21))
+    assert step == pytest.approx(0.5 / (4.0 / np.sqrt(2000)), abs=2.0)
+    assert any(f"about frame {k}" in reason for k in (19, 20, 21))
     # of frames that scatter by more than their values do, a step must be larger
-    scattered = checked(0.5 * (t >= 20) + 0.5 * rng.normal(size=40))
-    assert scattered.value is not None and scattered.value < 0.5 * step.value
+    assert checked(0.5 * (t >= 20) + 0.5 * rng.normal(size=40))[0] < 0.5 * step
     assert step_check(Residuals(frame[:300], landmark[:300], uvd_px[:300], noise[:300])).value is None
 
 
@@ -174,8 +165,7 @@ def test_a_mean_is_as_uncertain_as_the_landmarks_that_it_is_made_of() -> None:
     landmark = np.repeat(np.arange(2000), 8)
     group = landmark % 20
     alike = np.repeat(rng.normal(size=(2000, 2)), 8, axis=0)
-    independent = rng.normal(size=(16000, 2))
-    for values in (alike, independent):
+    for values in (alike, rng.normal(size=(16000, 2))):
         means = means_in_errors(values, group, landmark, 30)
         assert means.shape == (20, 2)
         assert 0.7 < np.sqrt(np.mean(means**2)) < 1.3
@@ -193,8 +183,7 @@ def test_landmarks_that_slide_with_the_sun_are_found(sequence: SyntheticSequence
         return np.asarray(np.einsum("nij,njk,nk->ni", J, X_RG[:, :3, :3], 3e-3 * along))
 
     case = changed(sequence, slide)
-    check = sun_check(*case, SUN_N)
-    assert "slide over the surface" in check.reason
+    assert "slide over the surface" in sun_check(*case, SUN_N).reason
     assert sun_check(*case, None).value is None
 
 
@@ -217,24 +206,16 @@ def test_links_that_contradict_the_motion_are_counted(sequence: SyntheticSequenc
     assert link_check(few, X_RG).value is None
 
 
-def test_a_flat_relief_has_a_near_mirror_twin(undisturbed: Solved) -> None:
-    tracks, estimate = undisturbed
-    near = replace(estimate, noise=replace(estimate.noise, disparity_sigma_px=50.0))
-    assert "inside out" in mirror_check(tracks, near).reason
-
-
 def test_a_check_that_ends_with_an_error_is_a_reason_for_doubt(
     undisturbed: Solved, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tracks, estimate = undisturbed
-
     def fails(*given: object) -> list[Check]:
         raise ValueError("seven is not a pose")
 
-    monkeypatch.setattr("polhode.pipeline.checks.answer_checks.check_answer.residual_checks", fails)
+    monkeypatch.setattr(module, "residual_checks", fails)
     none = np.zeros(0, dtype=np.int64)
     links = RelativePoses(none, none, np.zeros((0, 4, 4)), none)
-    checks = check_answer(tracks, estimate, links, CONFIG, None, None)
+    checks = module.check_answer(*undisturbed, links, CONFIG, None, None)
     (reason,) = reasons_of(checks)
     assert "seven is not a pose" in reason
     # the others were made all the same
@@ -251,12 +232,8 @@ def test_the_causal_estimate_ends_within_the_larger_sigma_of_the_smoothed_one(un
         r_N[-1, 0] += sigmas * sigma[0]
         eye, zero = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
         states = (r_N, estimate.v_N, estimate.R_NP, estimate.w_P, share * estimate.covariance)
-        known = np.ones((frames, 4), dtype=np.bool_)
-        of_com_and_axes = (zero, eye, eye, eye, known)
-        X_NG = np.tile(np.eye(4), (frames, 1, 1))
-        return OnlineEstimate(
-            estimate.timestamps_ns, *states, X_NG, zero[:, :2], eye[:, :2, :2], *of_com_and_axes
-        )
+        k, known = (zero[:, :2], eye[:, :2, :2]), np.ones((frames, 4), dtype=np.bool_)
+        return OnlineEstimate(estimate.timestamps_ns, *states, estimate.X_NG, *k, zero, eye, eye, eye, known)
 
     assert window_check(None, estimate).value is None
     # a causal estimate that takes itself for surer than the smoothed one does not count as such

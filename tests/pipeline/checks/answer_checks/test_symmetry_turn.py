@@ -14,22 +14,20 @@ from polhode.run_directory.summary_schema import Check
 
 RIG = RectifiedRig(400.0, 79.5, 79.5, 0.1, 160, 160)
 RADIUS_M, HALF_M, DISTANCE_M = 0.1, 0.09, 0.6
-STEP_DEG = 9.0
-FRAMES = 6
+STEP_DEG, FRAMES = 9.0, 6
+BARE = np.full((128, 720), 128.0)
 
 
 def rich() -> Array:
     """Marks around the cylinder (rows along it): grey values (128, 720)."""
-    rng = np.random.default_rng(3)
-    noise = np.tile(rng.uniform(0.0, 255.0, (128, 720)), (1, 3))
+    noise = np.tile(np.random.default_rng(3).uniform(0.0, 255.0, (128, 720)), (1, 3))
     blurred = cv2.GaussianBlur(noise, (0, 0), 4.0)[:, 720:1440]
     return np.asarray(128.0 + (blurred - blurred.mean()) / blurred.std() * 35.0)
 
 
 def sparse() -> Array:
     """Eight marks."""
-    rng = np.random.default_rng(4)
-    out = np.full((128, 720), 128.0)
+    rng, out = np.random.default_rng(4), BARE.copy()
     for k in range(8):
         row = int(rng.integers(10, 100))
         out[row : row + 14, 90 * k + 20 : 90 * k + 55] = 60.0
@@ -65,23 +63,19 @@ def frame(marks: Array, turn_deg: float, box: bool = False) -> DepthMap:
 def turn_check_of(marks: Array, found_deg: float, box: bool = False) -> Check:
     """Of a target that turns by STEP_DEG from frame to frame, for the turn that was found."""
     # about the axis along v; u grows with the angle, as seen from the camera
-    turns = [exp_so3([0.0, -np.deg2rad(found_deg * k), 0.0]) for k in range(FRAMES)]
-    X_RG = np.stack([make_pose(R, np.array([0.0, 0.0, DISTANCE_M])) for R in turns])
+    turns = exp_so3(np.outer(-np.deg2rad(found_deg) * np.arange(FRAMES), [0.0, 1.0, 0.0]))
+    X_RG = make_pose(turns, np.tile([0.0, 0.0, DISTANCE_M], (FRAMES, 1)))
     images = ImageMotion(RIG, X_RG, np.ones(FRAMES, dtype=np.bool_))
     images.compare([frame(marks, STEP_DEG * k, box) for k in range(FRAMES)])
     return images.checks(0.5)[1]
 
 
-@pytest.mark.parametrize("marks", [rich(), sparse()], ids=["rich", "sparse"])
-def test_the_turn_of_a_marked_body_shows(marks: Array) -> None:
-    check = turn_check_of(marks, STEP_DEG)
-    assert check.reason == "" and check.value is not None and check.value > 0.2
-
-
-def test_large_pictures_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_turn_of_a_marked_body_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    checks = [turn_check_of(marks, STEP_DEG) for marks in (rich(), sparse())]
+    # large pictures are reduced
     monkeypatch.setattr(symmetry_turn, "MAX_SIDE_PX", 70)
-    check = turn_check_of(rich(), STEP_DEG)
-    assert check.reason == "" and check.value is not None and check.value > 0.2
+    for check in (*checks, turn_check_of(rich(), STEP_DEG)):
+        assert check.reason == "" and check.value is not None and check.value > 0.2
     assert turn_check_of(rich(), 0.0).reason
 
 
@@ -90,20 +84,14 @@ def test_another_turn_than_that_of_the_marks_is_contradicted(found_deg: float) -
     check = turn_check_of(rich(), found_deg)
     assert check.value is not None and check.value < -0.3
     assert "the images contradict it" in check.reason
-    rate = (STEP_DEG - found_deg) / 0.5
     words = check.reason.split("differs by ")[1].split(" ")[0]
-    assert float(words) == pytest.approx(rate, abs=4.0)
+    assert float(words) == pytest.approx((STEP_DEG - found_deg) / 0.5, abs=4.0)
 
 
-@pytest.mark.parametrize("found_deg", [0.0, STEP_DEG])
-def test_on_a_bare_body_nothing_shows_the_turn(found_deg: float) -> None:
-    check = turn_check_of(np.full((128, 720), 128.0), found_deg)
+def test_on_a_bare_body_nothing_shows_the_turn_and_one_without_symmetry_is_not_judged() -> None:
     # found at rest, nothing speaks for it; found turning, the still edge of the shadow speaks against it
-    words = "contradict it" if found_deg else "its surface shows too little of it"
-    assert words in check.reason
-
-
-def test_a_body_without_symmetry_is_not_judged() -> None:
+    assert "its surface shows too little of it" in turn_check_of(BARE, 0.0).reason
+    assert "contradict it" in turn_check_of(BARE, STEP_DEG).reason
     assert turn_check_of(rich(), STEP_DEG, box=True).value is None
 
 
@@ -120,8 +108,5 @@ def test_the_axis_of_a_cone_is_found_from_its_points_and_normals() -> None:
     offset = axis.point_G - X[:3, 3]
     assert np.linalg.norm(offset - (offset @ X[:3, 2]) * X[:3, 2]) < 2e-3
     # a quarter of the body stands out
-    axis = slippable_axis(
-        np.concatenate([p, rng.uniform(-0.3, 0.3, (170, 3))]),
-        np.concatenate([normal, np.tile([0.0, 1.0, 0.0], (170, 1))]),
-    )
-    assert axis.slip > MAX_SLIP
+    more = np.concatenate([p, rng.uniform(-0.3, 0.3, (170, 3))])
+    assert slippable_axis(more, np.concatenate([normal, np.tile([0.0, 1.0, 0.0], (170, 1))])).slip > MAX_SLIP

@@ -1,4 +1,4 @@
-"""Every message that docs/troubleshooting.md explains is one that the program can print."""
+"""Messages that docs/troubleshooting.md explains and functions that docs/life_of_a_pair.md names exist."""
 
 import ast
 import re
@@ -10,23 +10,21 @@ import pytest
 from tests.docs.page_code import ROOT
 from tests.test_repository import modules
 
-PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()
-SYMPTOMS = re.findall(r"^### `(.*)`$", PAGE, re.MULTILINE)
+SYMPTOMS = re.findall(r"^### `(.*)`$", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE)
 
 
 @cache
 def messages() -> tuple[str, ...]:
     """Texts of the program, with … in the place of values."""
-    trees = (ast.parse(path.read_text()) for path in modules())
-    return tuple(text for tree in trees for text in map(literal, nodes_of(tree)) if text)
+    return tuple(text for path in modules() for text in literals(ast.parse(path.read_text())) if text)
 
 
-def nodes_of(tree: ast.Module) -> Iterator[ast.expr]:
-    """Literals of a module, its docstrings left out."""
+def literals(tree: ast.Module) -> Iterator[str]:
+    """Of a module, its docstrings left out."""
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if id(node) not in docstrings and isinstance(node, ast.Constant | ast.JoinedStr | ast.BinOp):
-            yield node
+            yield literal(node)
 
 
 def literal(node: ast.expr) -> str:
@@ -47,3 +45,12 @@ def test_the_program_has_this_message(symptom: str) -> None:
     assert any(pattern.search(message) for message in messages()), symptom
     # what is left out is values, not the message
     assert len(symptom.replace("…", "")) > 12, symptom
+
+
+def test_functions_of_the_life_of_a_pair_are_in_the_files_that_it_names() -> None:
+    page = (ROOT / "docs" / "life_of_a_pair.md").read_text()
+    found = re.findall(r"((?:`\w+`(?:, )?)+) in \[`[\w.]+`\]\(\.\./([\w/.]+)\)", page)
+    assert len(found) > 12
+    for names, path in found:
+        text = (ROOT / path).read_text()
+        assert [name for name in re.findall(r"\w+", names) if f"def {name}(" not in text] == [], path
