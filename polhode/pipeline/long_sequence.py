@@ -114,8 +114,13 @@ def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
         for name in ("uvd_px", "sigma_px")
     )
     return StereoTracks(
-        *(context.rig, sequence.timestamps_ns, context.X_NR),
-        *(frame[used].astype(np.int64), landmark.astype(np.int64), uvd_px, sigma_px),
+        context.rig,
+        sequence.timestamps_ns,
+        context.X_NR,
+        frame[used].astype(np.int64),
+        landmark.astype(np.int64),
+        uvd_px,
+        sigma_px,
         sigma_camera_p_m=sequence.sigma_camera_p_m,
         sigma_camera_theta_rad=sequence.sigma_camera_theta_rad,
         X_BR=sequence.calibration.X_BC0 @ context.rectifier.X_CR,

@@ -21,7 +21,8 @@ def rig(X_CD: Array, K_left: Array = K0, K_right: Array = K1, distorted: bool = 
     """A rig whose body is turned against the left camera; X_CD is the right camera in the left one."""
     X_BC0 = make_pose(exp_so3([0.2, -0.1, 1.3]), [0.05, 0.02, -0.03])
     lenses = (DIST0, DIST1) if distorted else (np.zeros(4), np.zeros(4))
-    return StereoCalibration(K_left, K_right, *lenses, X_BC0, X_BC0 @ X_CD, 640, 480)
+    left, right = lenses
+    return StereoCalibration(K_left, K_right, left, right, X_BC0, X_BC0 @ X_CD, 640, 480)
 
 
 RIGS = {

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
 from polhode.files.foreign_meshes import open_mesh
-from polhode.files.foreign_meshes.unsound import MeshLimits
+from polhode.files.foreign_meshes.structure import MeshLimits
 from polhode.mapping import mesh_files
 from polhode.mapping.fusion.surface_extraction import empty_surface
 from polhode.mapping.mesh_files import read_mesh, read_ply, write_glb, write_ply

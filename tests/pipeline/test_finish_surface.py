@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from trimesh.visual import ColorVisuals
 
 from polhode.config import Config
 from polhode.config.mapping_settings import Mapping
@@ -36,7 +37,7 @@ def opened() -> SurfaceModel:
     mesh = trimesh.Trimesh(BALL.vertices, BALL.faces[~near], process=False)
     mesh.remove_unreferenced_vertices()
     n = len(mesh.vertices)
-    mesh.visual.vertex_colors = np.full((n, 4), 80, dtype=np.uint8)
+    mesh.visual = ColorVisuals(mesh, vertex_colors=np.full((n, 4), 80, dtype=np.uint8))
     return SurfaceModel(mesh, np.full(n, 1e-3), np.full(n, 5, dtype=np.int64))
 
 

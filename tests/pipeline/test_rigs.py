@@ -37,8 +37,10 @@ def test_features_and_depth_lie_on_the_surface(file: Path) -> None:
     )
     rectifier, renderer = make_rectifier(calibration), FrameRenderer(plan)
     rig, X_CR = rectifier.rig, rectifier.X_CR
-    images = [rectifier(renderer.render_image(0, side)[0].astype(np.uint8), side) for side in (0, 1)]
-    pair = RectifiedPair(*images, *map(target_mask, images))
+    left_image, right_image = (
+        rectifier(renderer.render_image(0, side)[0].astype(np.uint8), side) for side in (0, 1)
+    )
+    pair = RectifiedPair(left_image, right_image, target_mask(left_image), target_mask(right_image))
 
     def assert_on_surface(p_R: Array) -> None:
         """Points (n, 3), against the depth of one pixel of disparity at the target [m]."""

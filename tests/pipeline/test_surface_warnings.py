@@ -85,12 +85,12 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
             nan = np.full_like(depth.depth_m, np.nan)
             yield replace(depth, depth_m=nan) if k in defect.without_depth else depth
 
-    def fused(frames: Iterable[Frame], *more: Any, covariance_G: Array, landmarks_G: Array) -> SurfaceModel:
+    def fused(frames: Iterable[Frame], *more: Any, covariance_G: Array, **others: Any) -> SurfaceModel:
         if defect.covariance_of is not None:
             covariance_G = covariance_G.copy()
             covariance_G[defect.covariance_of, 1, 1] = np.nan
         given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
-        return fuse(given, *more, covariance_G=covariance_G, landmarks_G=landmarks_G)
+        return fuse(given, *more, **{"covariance_G": covariance_G, **others})
 
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", maps)
     monkeypatch.setattr("polhode.pipeline.build_surface.fuse", fused)

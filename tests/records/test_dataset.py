@@ -234,16 +234,16 @@ def rewrite(name: str, content: str | bytes) -> Damage:
 
 def put(name: str, what: str) -> Damage:
     """Something that is no regular file in the place of a file."""
-    make = {
+    make: dict[str, Callable[[Path], object]] = {
         "a device": lambda path: path.symlink_to("/dev/zero"), "a pipe": os.mkfifo, "a folder": Path.mkdir,
         "a socket": lambda path: os.mknod(path, stat.S_IFSOCK | 0o600),
-    }[what]  # fmt: skip
+    }  # fmt: skip
 
     def damage(folder: Path) -> None:
         path = folder / "mav0" / name
         path.parent.mkdir(exist_ok=True)
         path.unlink(missing_ok=True)
-        make(path)
+        make[what](path)
 
     return damage
 

@@ -39,10 +39,10 @@ def motion_checks(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -
     name = "median number of features with a range per image" if ranges else ""
     checks = [make_check("features", float(np.median(features)), finding, name=name)]
     if matched.any():
-        turn, rate = turn_deg[matched], turn_deg[matched] / interval_s[matched]
-        middle = float(np.median(turn))
+        turns, rate = turn_deg[matched], turn_deg[matched] / interval_s[matched]
+        middle = float(np.median(turns))
         finding = (
-            f"The target turns by {turn.min():.2g} to {turn.max():.2g} deg as the camera sees it, "
+            f"The target turns by {turns.min():.2g} to {turns.max():.2g} deg as the camera sees it, "
             f"{float(np.median(rate)):.3g} deg/s; its features move by {np.nanmedian(moved_px):.0f} px."
         )
         faster = max(middle / limit_of("rotation"), 1.0)
@@ -54,12 +54,12 @@ def motion_checks(sequence: StereoSequence, sample: Sample, rig: RectifiedRig) -
         advice = "Record at a higher frame rate; if the target turns slowly, see the checks of the images."
         finding = "No two successive frames match."
         checks.append(make_check("rotation", None, finding, advice=advice))
-    count, share, finding = None, None, f"No two examined {sample.noun} are successive."
+    median, share, finding = None, None, f"No two examined {sample.noun} are successive."
     if len(matches):
-        count, share = float(np.median(matches)), 100.0 * float(matched.mean())
+        median, share = float(np.median(matches)), 100.0 * float(matched.mean())
         finding = f"From {matches.min():.0f} to {matches.max():.0f} matches agree with a rigid motion."
     name = "median number of matches between successive images" if ranges else ""
-    checks.append(make_check("matches", count, finding, name=name))
+    checks.append(make_check("matches", median, finding, name=name))
     finding = f"{int(matched.sum())} of {len(matched)} examined pairs of successive frames match."
     checks.append(make_check("matched", share, finding, name=f"successive {sample.noun} that match"))
     return checks if ranges else [*checks, _delay(sequence, sample, rig)]

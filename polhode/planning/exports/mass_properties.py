@@ -13,7 +13,7 @@ import numpy as np
 from polhode.geometry.lie import Array, make_pose, transform_points
 from polhode.mapping.uniform_solid import Solid, principal_axes
 from polhode.planning.exports.options import ExportOptions
-from polhode.run_directory.intervals_in_words import describe_intervals, possible_com
+from polhode.run_directory.summary_in_words import describe_intervals, possible_com
 from polhode.run_directory.summary_schema import Summary
 from polhode.runtime.errors import InputError
 

@@ -14,7 +14,7 @@ def is_own(path: Path) -> bool:
 
 
 def place_of(path: Path, *inputs: Path) -> Path:
-    return output_file(path, "report", "page.html", is_own, inputs)
+    return output_file(path, "report", "page.html", is_own)
 
 
 def test_what_the_command_reads_is_refused_by_any_name(tmp_path: Path) -> None:

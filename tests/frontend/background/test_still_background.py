@@ -41,7 +41,8 @@ def turntable(plain: bool = True, moving: bool = False) -> StereoSequence:
     X_NC[:, 0, 3] = 0.01 * moving * np.arange(FRAMES)
 
     def pair(k: int) -> StereoImages:
-        return StereoImages(*(image(k, side, plain, 1.0 + 0.05 * (k % 3))[0] for side in (0, 1)), None, None)
+        left, right = (image(k, side, plain, 1.0 + 0.05 * (k % 3))[0] for side in (0, 1))
+        return StereoImages(left, right, None, None)
 
     return drawn(pair, X_NC)
 

@@ -1,9 +1,9 @@
 """Whether the images are those of the rig that the calibration describes: signs that need no truth.
 
 A wrong rig moves the target as a whole, and the residuals of the motion hardly show it. The rows of both
-images do: matches that ignore the epipolar constraint (``frontend/features/epipolar_search``). Rows that differ
-from some time on: one camera was knocked. Rows that differ with the speed at which the image moves: the
-cameras look at different times. Disparities below zero: the images of the pair are exchanged.
+images do: matches that ignore the epipolar constraint (``frontend/features/epipolar_search``). Rows that
+differ from some time on: one camera was knocked. Rows that differ with the speed at which the image moves:
+the cameras look at different times. Disparities below zero: the images of the pair are exchanged.
 
 Sideways, a knock changes disparities alone. Then everything is nearer and smaller, or farther and larger,
 from some time on: what frames before and after it share does not fit together (``disparity_steps``).

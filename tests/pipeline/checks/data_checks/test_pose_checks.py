@@ -111,7 +111,7 @@ def tracks() -> StereoTracks:
 def connection_of(tracks: StereoTracks, place: int, kept: int, frames: int = FRAMES) -> Check:
     """Of the first frames; after frame ``place`` other landmarks are seen, but for ``kept`` of them."""
     sides = (tracks.frame <= place, tracks.frame > place)
-    common = np.intersect1d(*(np.unique(tracks.landmark[side]) for side in sides))[kept:]
+    common = np.intersect1d(tracks.landmark[sides[0]], tracks.landmark[sides[1]])[kept:]
     other = sides[1] & np.isin(tracks.landmark, common)
     number = np.where(other, tracks.landmark + tracks.n_landmarks, tracks.landmark)
     rows = tracks.frame < frames
