@@ -165,7 +165,7 @@ def small_sequence(tmp_path: Path) -> Path:
         K = np.array([[50.0, 0.0, 31.5], [0.0, 51.0, 23.5], [0.0, 0.0, 1.0]])
         X_BC = np.eye(4)
         X_BC[0, 3] = BASELINE_M * index
-        write_sensor(camera, K, np.array([-0.1, 0.01, 0.0, 0.0]), X_BC, WIDTH_PX, HEIGHT_PX, rate_hz=2.0)
+        write_sensor(camera, K, np.array([-0.1, 0.01, 0.0, 0.0]), X_BC, (WIDTH_PX, HEIGHT_PX), rate_hz=2.0)
         write_camera_csv(camera, TIMESTAMPS_NS)
         for stamp in TIMESTAMPS_NS:
             image = rng.normal(2.0, 1.0, (HEIGHT_PX, WIDTH_PX)).clip(0.0, 255.0)

@@ -36,7 +36,7 @@ from lab.command import (
 from lab.presentation import print_table
 from lab.record import Case, complete
 from polhode.config.loader import load_config
-from polhode.pipeline.live.run_live import run_live
+from polhode.pipeline.live.run_live import open_source, run_live
 from polhode.pipeline.run import run
 from polhode.records.dataset import open_sequence
 from polhode.records.metrics import NEES, States, expected_range, motion_errors, nees, state_errors, truth_at
@@ -89,8 +89,9 @@ def measure(case: Case) -> Case:
     interval_s = float(np.median(np.diff(stamps_s)))
     live_run, batch_run = (ROOT / "runs" / f"{kind}_{source.name}" for kind in ("live", "batch"))
     load = os.getloadavg()[0]
+    rate = case["rate_hz"] * interval_s
     _, live = run_live(
-        config, source, live_run, Silent(), case["rate_hz"] * interval_s, overwrite=True, even_if_failed=True
+        config, open_source(source, rate), live_run, Silent(), rate, overwrite=True, even_if_failed=True
     )
     start = perf_counter()
     run(config, source, batch_run, Silent(), overwrite=True, even_if_failed=True)

@@ -118,7 +118,7 @@ def _sequence(folder: Path) -> None:
         K = np.array([[50.0, 0.0, 31.5], [0.0, 51.0, 23.5], [0.0, 0.0, 1.0]])
         X_BC = np.eye(4)
         X_BC[0, 3] = 0.09 * index
-        write_sensor(mav0 / f"cam{index}", K, np.array([-0.1, 0.01, 0.0, 0.0]), X_BC, *SIZE, rate_hz=2.0)
+        write_sensor(mav0 / f"cam{index}", K, np.array([-0.1, 0.01, 0.0, 0.0]), X_BC, SIZE, rate_hz=2.0)
         write_camera_csv(mav0 / f"cam{index}", STAMPS)
         for stamp in STAMPS:
             image = rng.integers(0, 250, SIZE[::-1]).astype(np.uint8)

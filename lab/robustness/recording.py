@@ -94,7 +94,7 @@ def write_recording(recording: Recording, folder: Path) -> None:
         camera = mav0 / f"cam{index}"
         X_BC = np.eye(4)
         X_BC[0, 3] = index * recording.baseline_m
-        write_sensor(camera, K, np.zeros(4), X_BC, width, height, rate_hz=1.0 / interval_s)
+        write_sensor(camera, K, np.zeros(4), X_BC, (width, height), rate_hz=1.0 / interval_s)
         write_camera_csv(camera, recording.stamps_ns)
         for stamp, image in zip(recording.stamps_ns, images, strict=True):
             write_png(image_path(camera, int(stamp)), image)

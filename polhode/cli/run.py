@@ -120,7 +120,7 @@ class RunCommand(ConfiguredCommand):
             )
 
     def _run_live(self, source: Path, target: "ViewTarget | None") -> "RunResult":
-        from polhode.pipeline.live.run_live import PATIENCE_S, run_live
+        from polhode.pipeline.live.run_live import PATIENCE_S, open_source, run_live
 
         if self.data is not None:
             raise InputError("--data and --live: give one of them")
@@ -129,6 +129,8 @@ class RunCommand(ConfiguredCommand):
                 "--resume: a stream cannot be resumed; give --data instead of --live for the answer from "
                 "the pairs that were recorded"
             )
+        patience_s = PATIENCE_S if self.patience_s is None else self.patience_s
+        pairs = open_source(source, self.rate, patience_s)
         watching: AbstractContextManager[Watch | None] = nullcontext()
         if target is not None:
             from polhode.viewer.show_live import watching as watching_by
@@ -137,11 +139,10 @@ class RunCommand(ConfiguredCommand):
         with watching as watch:
             result, live = run_live(
                 self.values,
-                source,
+                pairs,
                 self.output,
                 choose_progress(),
                 rate=self.rate,
-                patience_s=PATIENCE_S if self.patience_s is None else self.patience_s,
                 overwrite=self.overwrite,
                 even_if_failed=self.even_if_failed,
                 watch=watch,

@@ -4,6 +4,7 @@ The same content gives the same bytes. trimesh reads these files; it writes no p
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,26 @@ _TYPES = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<i4": "int"}
 _FACE = np.dtype([("count", "u1"), ("index", "<i4", (3,)), ("invented", "u1")])
 
 
+@dataclass(frozen=True)
+class VertexColumns:
+    """What is known of V vertices."""
+
+    position: Array
+    """(V, 3)"""
+    normal: Array
+    """(V, 3)"""
+    rgba: NDArray[np.uint8]
+    """(V, 4)"""
+    sigma: Array
+    """(V,) in the unit of the positions"""
+    views: ArrayLike
+    """(V,)"""
+    coverage: ArrayLike
+    """(V,)"""
+
+
 def surface_ply(
-    vertices: Array,
-    normals: Array,
-    rgba: NDArray[np.uint8],
-    sigma: Array,
-    views: ArrayLike,
-    coverage: ArrayLike,
+    columns: VertexColumns,
     faces: ArrayLike,
     invented: ArrayLike,
     comments: Sequence[str],
@@ -30,8 +44,8 @@ def surface_ply(
 ) -> bytes:
     """Position, normal, colour, sigma, views and coverage of V vertices; T triangles with ``invented``.
 
-    vertices, normals (V, 3), rgba (V, 4), sigma (V,), faces (T, 3). The property of sigma is named with its
-    unit, ``sigma_m`` or ``sigma_mm``. Between ``comments`` and ``more_comments`` one explains the properties.
+    faces (T, 3), invented (T,). The property of sigma is named with its unit, ``sigma_m`` or ``sigma_mm``.
+    Between ``comments`` and ``more_comments`` one explains the properties.
     """
     sigma_name = f"sigma_{unit}"
     axes, channels = ("x", "y", "z"), ("red", "green", "blue", "alpha")
@@ -42,12 +56,13 @@ def surface_ply(
         ("views", "<i4"),
         ("coverage", "u1"),
     ]
-    vertex = np.zeros(len(vertices), dtype=fields)
+    vertex = np.zeros(len(columns.position), dtype=fields)
     for column, name in enumerate(axes):
-        vertex[name], vertex[f"n{name}"] = vertices[:, column], normals[:, column]
+        vertex[name], vertex[f"n{name}"] = columns.position[:, column], columns.normal[:, column]
     for column, name in enumerate(channels):
-        vertex[name] = rgba[:, column]
-    vertex[sigma_name], vertex["views"], vertex["coverage"] = sigma, views, coverage
+        vertex[name] = columns.rgba[:, column]
+    vertex[sigma_name], vertex["views"] = columns.sigma, columns.views
+    vertex["coverage"] = columns.coverage
     face = np.zeros(len(np.asarray(faces)), dtype=_FACE)
     face["count"], face["index"], face["invented"] = 3, faces, invented
     legend = f"{sigma_name} inf, views 0: not measured; coverage 0 unseen, 1 seen but never lit, 2 seen lit"

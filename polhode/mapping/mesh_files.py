@@ -9,7 +9,7 @@ from trimesh.visual import ColorVisuals
 
 from polhode.files.atomic import write_bytes
 from polhode.files.foreign_meshes import OF_A_RUN, open_mesh
-from polhode.files.ply import surface_ply
+from polhode.files.ply import VertexColumns, surface_ply
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import InputError
 
@@ -21,12 +21,14 @@ def write_ply(surface: SurfaceModel, path: Path) -> None:
     """Binary PLY: x y z [m in G], normal, colour, sigma_m [m], views, coverage; triangles, ``invented``."""
     mesh = surface.mesh
     content = surface_ply(
-        vertices=np.asarray(mesh.vertices),
-        normals=np.asarray(mesh.vertex_normals) if len(mesh.vertices) else np.zeros((0, 3)),
-        rgba=_colours(mesh) if len(mesh.vertices) else np.zeros((0, 4), np.uint8),
-        sigma=surface.sigma_m,
-        views=surface.views,
-        coverage=surface.coverage_classes,
+        VertexColumns(
+            np.asarray(mesh.vertices),
+            np.asarray(mesh.vertex_normals) if len(mesh.vertices) else np.zeros((0, 3)),
+            _colours(mesh) if len(mesh.vertices) else np.zeros((0, 4), np.uint8),
+            surface.sigma_m,
+            surface.views,
+            surface.coverage_classes,
+        ),
         faces=mesh.faces,
         invented=surface.is_invented,
         comments=["frame G, metres"],

@@ -48,10 +48,10 @@ def report_run(
         *(tracks, estimate, surface, run.clock.with_total(), warnings.value),
         shape=shape.value,
         checks=checks.value,
-        intervals=intervals.value[0],
     )
+    summary = summary.model_copy(update={"intervals": intervals.value[0], "data": written.recording})
     with run.context.progress.stage("report", 1) as advance:
-        summary = finish_run(written.path, summary.model_copy(update={"data": written.recording}))
+        summary = finish_run(written.path, summary)
         advance()
     return partial(_result_of, summary, estimate)
 

@@ -47,13 +47,13 @@ def write_sensor(
     K: ArrayLike,
     dist: ArrayLike,
     X_BC: ArrayLike,
-    width_px: int,
-    height_px: int,
+    size_px: tuple[int, int],
     rate_hz: float,
     bits: int = 8,
     fisheye: bool = False,
 ) -> None:
-    """Write ``sensor.yaml`` of a camera folder: K (3, 3) [px], dist (n,) in OpenCV's order, X_BC (4, 4).
+    """Write ``sensor.yaml`` of a camera folder: K (3, 3) [px], dist (n,) in OpenCV's order, X_BC (4, 4);
+    ``size_px`` is width and height.
 
     More than 8 ``bits`` are stated, because they cannot be inferred from dark images.
     """
@@ -62,7 +62,7 @@ def write_sensor(
         "sensor_type": "camera",
         "T_BS": {"cols": 4, "rows": 4, "data": _flat(X_BC)},
         "rate_hz": float(rate_hz),
-        "resolution": [int(width_px), int(height_px)],
+        "resolution": [int(side) for side in size_px],
         "camera_model": "pinhole",
         "intrinsics": _flat([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]),
         "distortion_model": "equidistant" if fisheye else "radial-tangential",

@@ -24,7 +24,6 @@ from polhode.run_directory.own_results import digests, require_own_results
 from polhode.run_directory.summary_schema import (
     ESTIMATE_PARTS,
     Check,
-    Intervals,
     IpoptSummary,
     Noise,
     ShapeFindings,
@@ -51,13 +50,12 @@ def build_summary(
     failure: str | None = None,
     shape: ShapeFindings | None = None,
     checks: Sequence[Check] = (),
-    intervals: Intervals | None = None,
 ) -> Summary:
     """The summary of a run, its status as ``decide_verdict`` finds it.
 
     ``warnings`` do not change the status (a dropped frame, what the motion does not determine). Every reason
     stands among the warnings, once, that of a failure first. Seconds that ``timing_s`` does not name are 0;
-    ``total`` is their sum unless it is given.
+    ``total`` is their sum unless it is given. Whoever has intervals adds them.
     """
     if estimate is not None:
         checks = [*checks, *estimate_checks(tracks, estimate, surface)]
@@ -96,7 +94,7 @@ def build_summary(
             "mesh": shape.mesh,
             "coverage": shape.coverage,
             "physics": shape.physics,
-            "intervals": intervals,
+            "intervals": None,
             "identifiable_detail": dict(estimate.mass.identifiable.detail) if estimate else {},
             **(dict.fromkeys(ESTIMATE_PARTS) if estimate is None else _estimate_parts(estimate)),
         }

@@ -271,7 +271,7 @@ def test_a_recording_is_calibrated_and_a_board_that_rests_counts_once(
     for index, side in enumerate(("left", "right")):
         camera, lens = tmp_path / "mav0" / f"cam{index}", rig.state.lenses[index]
         X_BC = np.eye(4) if index == 0 else inverse_pose(rig.state.X_10)
-        write_sensor(camera, lens.K, lens.coefficients, X_BC, *SIZE, rate_hz=10.0)
+        write_sensor(camera, lens.K, lens.coefficients, X_BC, SIZE, rate_hz=10.0)
         write_camera_csv(camera, stamps)
         for stamp, k in zip(stamps, order, strict=True):
             image_path(camera, stamp).parent.mkdir(exist_ok=True)

@@ -151,7 +151,7 @@ def _write_recording(folder: Path) -> None:
         camera, X_BC = folder / "mav0" / f"cam{index}", np.eye(4)
         X_BC[0, 3] = 0.1 * index
         K = np.array([[90.0, 0.0, 47.5], [0.0, 90.0, 47.5], [0.0, 0.0, 1.0]])
-        write_sensor(camera, K, np.zeros(4), X_BC, 96, 96, rate_hz=1.0)
+        write_sensor(camera, K, np.zeros(4), X_BC, (96, 96), rate_hz=1.0)
         stamps = [k * 10**9 for k in range(3)]
         write_camera_csv(camera, stamps)
         for stamp in stamps:

@@ -46,7 +46,7 @@ def folder(tmp_path: Path) -> Path:
     for name, lines in rows.items():
         (base / f"{name}.txt").write_text("\n".join(lines) + "\n")
     (base / "groundtruth.txt").write_text("\n".join(poses) + "\n")
-    write_sensor(tmp_path / "rig" / "cam0", K, np.zeros(4), np.eye(4), WIDTH, HEIGHT, rate_hz=10.0)
+    write_sensor(tmp_path / "rig" / "cam0", K, np.zeros(4), np.eye(4), (WIDTH, HEIGHT), rate_hz=10.0)
     return base
 
 

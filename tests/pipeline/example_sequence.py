@@ -26,7 +26,7 @@ def write_sequence(example: Example, folder: Path) -> Path:
     rays = np.stack([(u - K[0, 2]) / FOCAL_PX, (v - K[1, 2]) / FOCAL_PX, np.ones(u.shape)], -1).reshape(-1, 3)
     noise = np.random.default_rng(0).integers(0, 4, u.shape)
     for name, shift in (("cam0", 0.0), ("cam1", 0.09)):
-        write_sensor(mav0 / name, K, np.zeros(4), make_pose(np.eye(3), [shift, 0, 0]), WIDTH, HEIGHT, 2.0)
+        write_sensor(mav0 / name, K, np.zeros(4), make_pose(np.eye(3), [shift, 0, 0]), (WIDTH, HEIGHT), 2.0)
         write_camera_csv(mav0 / name, motion.timestamps_ns)
         for stamp, X_GN in zip(motion.timestamps_ns, inverse_pose(motion.X_NG), strict=True):
             eye, directions = X_GN[:3, :3] @ [shift, 0, 0] + X_GN[:3, 3], rays @ X_GN[:3, :3].T

@@ -51,5 +51,5 @@ def write_run(
     for number, (caption, content) in enumerate((pictures or {}).items()):
         suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
         outputs.write_picture(folder, f"{number:02d}{suffix}", content, caption)
-    summary = build_summary(tracks, estimate, surface, timing_s, warnings, intervals=intervals)
-    return finish_run(folder, summary)
+    summary = build_summary(tracks, estimate, surface, timing_s, warnings)
+    return finish_run(folder, summary.model_copy(update={"intervals": intervals}))

@@ -102,7 +102,7 @@ def _write(sequence: SyntheticSequence, folder: Path) -> None:
     for index in (0, 1):
         camera = folder / "mav0" / f"cam{index}"
         X_BC = make_pose(np.eye(3), np.array([index * RIG.baseline_m, 0.0, 0.0]))
-        write_sensor(camera, RIG.K, np.zeros(4), X_BC, RIG.width_px, RIG.height_px, rate_hz=2.0)
+        write_sensor(camera, RIG.K, np.zeros(4), X_BC, (RIG.width_px, RIG.height_px), rate_hz=2.0)
         for name in names:
             picture[200, 280:360] = rng.integers(60, 250, 80)
             write_png(camera / "data" / name, picture)

@@ -94,7 +94,7 @@ def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
     dist = np.array([-0.2836, 0.0740, 1.9e-4, 1.76e-5, 1e-3])
     poses = [make_pose(exp_so3([0.01, 0.02, angle]), [angle, 0.01, -0.02]) for angle in (0.0, 0.1)]
     for index, X_BC in enumerate(poses):
-        write_sensor(tmp_path / f"cam{index}", K_640, dist, X_BC, 640, 480, rate_hz=2.0)
+        write_sensor(tmp_path / f"cam{index}", K_640, dist, X_BC, (640, 480), rate_hz=2.0)
     calibration = read_calibration(tmp_path)
     np.testing.assert_array_equal(calibration.K1, K_640)
     np.testing.assert_array_equal(calibration.dist0, dist)
@@ -108,7 +108,7 @@ def test_calibration_reads_back_equal_in_euroc_keys(tmp_path: Path) -> None:
     # rounding in a pose is forgiven and made exact
     for index in (0, 1):
         rounded = np.round(poses[index], 4)
-        write_sensor(tmp_path / f"cam{index}", K_640, np.zeros(4), rounded, 640, 480, rate_hz=2.0, bits=10)
+        write_sensor(tmp_path / f"cam{index}", K_640, np.zeros(4), rounded, (640, 480), rate_hz=2.0, bits=10)
     assert read_calibration(tmp_path).bits == 10
     R = read_calibration(tmp_path).X_BC0[:3, :3]
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)

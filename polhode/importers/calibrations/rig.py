@@ -154,7 +154,7 @@ def write_rig(mav0: Path, rig: Rig, rate_hz: float, cameras: int = 2) -> None:
             K,
             np.array(camera.distortion),
             camera.X_BC,
-            *camera.size_px,
+            camera.size_px,
             rate_hz=rate_hz,
             bits=camera.bits or 8,
             fisheye=camera.model == EQUIDISTANT,

@@ -5,9 +5,11 @@ Functions of the other modules give each its value and a sentence of what was fo
 
 from typing import NamedTuple
 
+import numpy as np
+
 from polhode.frontend.features.epipolar_search import MAX_SHIFT_SHARE
 from polhode.frontend.matching.pairs import MIN_INLIERS
-from polhode.pipeline.checkout.result import CheckoutCheck, Group, Verdict, judge
+from polhode.pipeline.checkout.result import CheckoutCheck, Group, Verdict
 from polhode.records.dataset import MAX_LOSS
 
 
@@ -164,12 +166,25 @@ def make_check(
     instead of the row's."""
     row = CHECK_TABLE[key]
     limit, fail_limit = limits or (row.limit, row.fail_limit)
-    return judge(
-        *(row.group, name or row.name, value, row.unit, limit),
+    status, known = row.not_possible, value is not None and np.isfinite(value)
+    if value is not None and known:
+        # what is printed is what is judged
+        value = float(f"{value:.6g}")
+        beyond = [
+            each is not None and (value < each if row.at_least else value > each)
+            for each in (limit, fail_limit)
+        ]
+        status = "FAIL" if beyond[1] else "WARN" if beyond[0] else "PASS"
+    return CheckoutCheck(
+        group=row.group,
+        name=name or row.name,
+        value=value if known else None,
+        unit=row.unit,
+        limit=limit,
         fail_limit=fail_limit,
-        sigma=sigma,
         at_least=row.at_least,
-        not_possible=row.not_possible,
+        sigma=None if sigma is None or not known else float(f"{sigma:.6g}"),
+        status=status,
         finding=finding,
-        advice=advice or row.advice,
+        advice="Nothing to do." if status == "PASS" else (advice or row.advice),
     )

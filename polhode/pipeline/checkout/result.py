@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from polhode.files.atomic import write_text
@@ -60,47 +59,6 @@ class CheckoutResult(StrictModel):
     def named(self, name: str) -> CheckoutCheck:
         """The check of this name. Raises KeyError."""
         return {check.name: check for check in self.checks}[name]
-
-
-def judge(
-    group: Group,
-    name: str,
-    value: float | None,
-    unit: str,
-    limit: float | None,
-    *,
-    finding: str,
-    advice: str,
-    fail_limit: float | None = None,
-    at_least: bool = False,
-    sigma: float | None = None,
-    not_possible: Verdict = "PASS",
-) -> CheckoutCheck:
-    """A check with its status.
-
-    ``not_possible``: the status when ``value`` is None or not finite.
-    """
-    status, known = not_possible, value is not None and np.isfinite(value)
-    if value is not None and known:
-        # what is printed is what is judged
-        value = float(f"{value:.6g}")
-        beyond = [
-            each is not None and (value < each if at_least else value > each) for each in (limit, fail_limit)
-        ]
-        status = "FAIL" if beyond[1] else "WARN" if beyond[0] else "PASS"
-    return CheckoutCheck(
-        group=group,
-        name=name,
-        value=value if known else None,
-        unit=unit,
-        limit=limit,
-        fail_limit=fail_limit,
-        at_least=at_least,
-        sigma=None if sigma is None or not known else float(f"{sigma:.6g}"),
-        status=status,
-        finding=finding,
-        advice="Nothing to do." if status == "PASS" else advice,
-    )
 
 
 def worst(checks: Iterable[CheckoutCheck]) -> Verdict:

@@ -64,7 +64,7 @@ class ImageRecording(FileRecording):
         )
         for index, (K, dist, X_BC, fisheye) in enumerate(cameras):
             write_sensor(
-                self.mav0 / CAMERAS[index], K, dist, X_BC, *calibration.size_px(index), rate_hz=1.0,
+                self.mav0 / CAMERAS[index], K, dist, X_BC, calibration.size_px(index), rate_hz=1.0,
                 bits=calibration.bits or 8, fisheye=fisheye,
             )  # fmt: skip
 

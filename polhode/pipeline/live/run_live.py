@@ -77,41 +77,47 @@ Watch = Callable[[WatchedPair], None]
 
 
 @single_threaded
+def open_source(folder: Path, rate: float | None = None, patience_s: float = PATIENCE_S) -> FolderSource:
+    """The pairs of a folder for ``run_live``.
+
+    rate: speed of the replay of a recorded sequence, 0 as fast as it goes; None: the folder fills, until the
+    file mav0/end appears or nothing came for ``patience_s``. Raises InputError: a wrong source or number.
+    """
+    if rate is not None and not 0.0 <= rate <= 1e4:
+        raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
+    if not 0.0 < patience_s <= 1e6:
+        raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
+    return FolderSource(folder, rate is None, patience_s)
+
+
 def run_live(
     config: Config,
-    source_folder: Path,
+    source: FolderSource,
     run_folder: Path,
     progress: LiveProgress,
     rate: float | None = None,
-    patience_s: float = PATIENCE_S,
     overwrite: bool = False,
     even_if_failed: bool = False,
     watch: Watch | None = None,
 ) -> tuple[RunResult, LiveReport]:
     """States of the pairs as they come, then the batch answer of the pairs that came.
 
-    rate: speed of the replay of a recorded sequence, 0 as fast as it goes; None: the folder fills, until the
-    file mav0/end appears or nothing came for ``patience_s``. Ctrl-C ends the stream, not the run.
-    ``watch`` is called with each pair after its state, and must not take long. Raises InputError for a wrong
-    source or rate, RunFailure as ``run``.
+    source, rate: as ``open_source`` has them. Ctrl-C ends the stream, not the run. ``watch`` is called with
+    each pair after its state, and must not take long. Raises InputError for a wrong source, RunFailure as
+    ``run``.
     """
-    if rate is not None and not 0.0 <= rate <= 1e4:
-        raise InputError(f"--rate {rate:g}: give 1 for the sequence's own speed, 2 for twice, 0 for no pause")
-    if not 0.0 < patience_s <= 1e6:
-        raise InputError(f"--patience-s {patience_s:g}: give seconds, above 0")
-    source = FolderSource(source_folder, rate is None, patience_s)
     live = LiveReport()
     with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
         stream = Stream(config, source.calibration, source.camera_motion())
         with progress.stage("compiling", 1) as advance:
             warm_up_stream(stream.rectifier.rig, config)
             advance()
-        recording = FileRecording(source_folder)
+        recording = FileRecording(source.folder)
         try:
             loop = _Loop(stream, recording, source, live, watch, Arrivals(source.calibration.bits))
             with interrupt_noted() as interrupted, progress.line() as show:
                 last_at = loop.run(rate, worker_count(config.runtime.workers), interrupted, show)
-            require_pairs(len(stream), str(source_folder))
+            require_pairs(len(stream), str(source.folder))
             recording.close()
             streamed = stream.streamed(loop.arrivals.warnings)
             finished = fill_run_folder(written, config, recording.folder, progress, streamed)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polhode.files.ply import surface_ply
+from polhode.files.ply import VertexColumns, surface_ply
 from polhode.planning.exports.job import ExportShape
 
 
@@ -25,12 +25,10 @@ def ply(shape: ExportShape, comments: Sequence[str], per_m: float, unit: str) ->
     The property of sigma is ``sigma_m`` or ``sigma_mm``: its unit is in its name.
     """
     return surface_ply(
-        vertices=per_m * shape.vertices,
-        normals=shape.normals,
-        rgba=shape.rgba,
-        sigma=per_m * shape.sigma_m,
-        views=shape.views,
-        coverage=shape.coverage,
+        VertexColumns(
+            *(per_m * shape.vertices, shape.normals, shape.rgba),
+            *(per_m * shape.sigma_m, shape.views, shape.coverage),
+        ),
         faces=shape.faces,
         invented=shape.invented,
         comments=[ascii_line(text) for text in comments],

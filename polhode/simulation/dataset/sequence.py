@@ -119,7 +119,7 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
     all_ns = plan.target.timestamps_ns[: scene.frames]
     for index, c in enumerate(plan.recording_cameras):
         path, rate_hz, bits = mav0 / f"cam{index}", 1.0 / scene.interval_s, scene.sensor.bits
-        calibration = (c.K, c.dist, X_BC @ c.X_CK, c.width_px, c.height_px)
+        calibration = (c.K, c.dist, X_BC @ c.X_CK, (c.width_px, c.height_px))
         write_sensor(path, *calibration, rate_hz=rate_hz, bits=bits, fisheye=c.fisheye)
         write_camera_csv(path, all_ns[list(plan.frames)])
     if (ranges := scene.ranges) is not None:

@@ -16,7 +16,6 @@ from polhode.pipeline.intervals.find_intervals import find_intervals, intervals_
 from polhode.pipeline.intervals.hull_and_limits import PAIRS, motion_limits
 from polhode.records.estimate import MotionEstimate
 from polhode.records.surface import SurfaceModel
-from polhode.run_directory.summary import build_summary
 from polhode.run_directory.summary_schema import Intervals
 from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, generate
@@ -87,7 +86,6 @@ def test_a_pure_spin_has_the_truth_inside_every_interval_unless_they_are_switche
     assert found.k1[0] <= np.log(1.5 / 1.2) <= found.k1[1] and found.k2[0] <= np.log(1.2 / 0.9) <= found.k2[1]
     assert len(found.bounds) == 2 and "convex hull" in found.bounds[0] and "8 times" in found.bounds[1]
     assert found.k1[0] < found.k1[1] and found.k2[0] < found.k2[1]
-    assert build_summary(None, estimate, None, {}, intervals=found).intervals == found
     off = CONFIG.model_copy(update={"bounds": Bounds(intervals=False)})
     assert find_intervals(estimate, sphere, None, off) == (None, [])
     # what is determined has none

@@ -1,15 +1,16 @@
-"""The target's motion and mass: conservation, elliptic functions, frames that cancel, sorted moments."""
+"""The target's motion and mass: conservation, MuJoCo, elliptic functions, frames that cancel."""
 
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.special import ellipj, ellipk, ellipkinc, elliprf, elliprj
 
 from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
-from polhode.geometry.lie import Array, exp_so3, log_so3, transform_points
+from polhode.geometry.lie import Array, exp_so3, log_so3, matrix_from_wxyz, transform_points
 from polhode.geometry.rigid_body import angular_momentum_N, rotational_energy
 from polhode.runtime.errors import InputError
 from polhode.simulation.bodies import Body, build_body
@@ -60,6 +61,21 @@ def test_energy_and_momentum_are_constant_over_ten_minutes(
     assert np.abs(energy / energy[0] - 1).max() < 1e-9
     assert np.linalg.norm(momentum - momentum[0], axis=1).max() < 1e-9 * np.linalg.norm(momentum[0])
     np.testing.assert_allclose(motion.v_N, np.broadcast_to(motion.v_N[0], motion.v_N.shape), rtol=1e-12)
+
+
+def test_the_attitude_agrees_with_mujoco_after_a_minute(ts38: config.Scene, mass: MassDistribution) -> None:
+    motion = target_motion(_changed(ts38, frames=1, interval_s=60.0, truth_horizon_s=60.0), mass, 0)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option gravity="0 0 0" integrator="RK4" timestep="0.002"/><worldbody><body><freejoint/>
+        <inertial pos="0 0 0" mass="4.487" diaginertia="{" ".join(map(repr, mass.moments.tolist()))}"/>
+        </body></worldbody></mujoco>"""
+    )
+    data, quaternion = mujoco.MjData(model), np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, motion.R_NP[0].ravel())
+    data.qpos[3:7], data.qvel[3:6] = quaternion, motion.w_P[0]
+    mujoco.mj_step(model, data, nstep=30_000)
+    error = log_so3(motion.R_NP[-1].T @ matrix_from_wxyz(data.qpos[3:7]))
+    assert np.rad2deg(np.linalg.norm(error)) < 0.01
 
 
 def test_frames_cancel_and_the_first_state_is_the_scenes(ts38: config.Scene, mass: MassDistribution) -> None:
