@@ -1,6 +1,6 @@
 """What the front end made of a pair or of its matches, taken from the first run of the suite that made it.
 
-Results of stages are stored under a digest of all that they depend on (``polhode/run_directory/stages.py``):
+Results of stages are stored under a digest of all that they depend on (``polhode/run_directory/finished_stages.py``):
 what a run takes here is what it would have computed. Runs whose front end is what is tested, or whose bytes
 are compared, compute theirs.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from polhode.run_directory.stages import StageStore
+from polhode.run_directory.finished_stages import StageStore
 
 FRONT_END = ("features", "matches", "depth")
 """Stages whose results are shared"""

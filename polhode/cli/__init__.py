@@ -11,8 +11,9 @@ call, so that ``--help`` is quick.
 - streams: standard output and error that are closed, full, or read by nobody
 - failures: errors that no room has explained, as exit code and one line
 - doctor, completion: the installation itself
-- simulate, train: make datasets; train the networks of the front end
-- checkout: check a sequence before a run
+- simulate, import_sequence, train: make datasets, of others' recordings too; train the networks
+- calibrate, checkout, expect: a rig, a sequence and what to expect, before a run
 - run, evaluate, report, compare: estimate; compare with the truth; show; compare optimizers
-- predict, plan, export, observability, threshold: what follows from a run
+- predict, plan, export, observability, threshold, view: what follows from a run
+- sweep: many points of settings
 """

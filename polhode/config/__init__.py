@@ -7,6 +7,7 @@ In: YAML files and overrides of the command line. Out: a frozen ``Config``.
 - loader: reading files, ``extends`` and overrides; errors of one line
 - keys: the tree of keys, read off the types, for help and errors
 - section: the base of every section
+- study_settings: a study of ``polhode sweep``
 """
 
 from typing import Literal, Self
@@ -51,7 +52,7 @@ class Pictures(Section):
     """Pictures of the map and of the model, in RUN/pictures."""
 
     views: bool = True
-    """Landmarks from six sides, contact sheet of the mesh."""
+    """Contact sheet of the mesh."""
     animation: bool = True
     """The model beside the camera's images with their difference, as MP4 and GIF."""
     frames: int = Field(60, ge=1, le=10_000)

@@ -18,7 +18,7 @@ from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.tracks import StereoTracks
-from polhode.run_directory.stages import StageStore
+from polhode.run_directory.finished_stages import StageStore
 from polhode.runtime.errors import InputError
 from polhode.runtime.processes import worker_count
 from polhode.runtime.progress import Progress

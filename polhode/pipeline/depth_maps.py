@@ -23,7 +23,7 @@ from polhode.pipeline.runner import MadeByPair, stage
 from polhode.pipeline.stream_results import Streamed
 from polhode.records.dataset import StereoSequence
 from polhode.records.surface import DepthMap
-from polhode.run_directory.stages import DEPTH, StageStore
+from polhode.run_directory.finished_stages import DEPTH, StageStore
 
 MAX_STORED_BYTES = 2**30
 """Of the depth maps that are kept."""

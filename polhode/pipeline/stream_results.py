@@ -12,7 +12,7 @@ from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.rectification import Rectifier
 from polhode.geometry.lie import Ints
 from polhode.records.estimate import OnlineEstimate
-from polhode.run_directory.stages import StageStore
+from polhode.run_directory.finished_stages import StageStore
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ In: the records of the stages. Out: the files of a run (docs/run_directory.md), 
 
 - run_folder: the folder as a whole, which appears complete or not at all
 - outputs: what each stage writes
+- finished_stages: results in RUN/stages, from which an interrupted run goes on
 - stored_run: all of a stored run, as the report takes it
 - summary: summary.json; summary_schema has its models and generates its JSON Schema
 - check_table: the checks of data and answer: names, limits, reasons; verdict: how they decide the status

@@ -26,8 +26,8 @@ from polhode.files.output.place import begins_with, folder_place, printable
 from polhode.files.output.run_files import LATER, PICTURES, STAGES, SUMMARY, is_run_file, is_stage_file
 from polhode.files.output.staged_folder import StagedFolder, staged_folder
 from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.finished_stages import KeptStages, StageStore
 from polhode.run_directory.own_results import changed_results
-from polhode.run_directory.stages import KeptStages, StageStore
 from polhode.run_directory.summary import build_summary, read_summary, with_files, write_summary
 from polhode.run_directory.summary_schema import Recording
 from polhode.run_directory.verdict import lower_status

@@ -19,7 +19,7 @@ from polhode.geometry.lie import log_so3, transform_points
 from polhode.mapping.mesh_files import write_ply
 from polhode.pipeline.context import RunContext, open_context
 from polhode.planning.keep_out.volumes import KeepOutOptions
-from polhode.run_directory.stages import StageStore
+from polhode.run_directory.finished_stages import StageStore
 from polhode.run_directory.trajectory_file import trajectory_of, write_trajectory
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress

@@ -10,7 +10,7 @@ import pytest
 
 from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, PackedDepth
 from polhode.records.surface import DepthMap
-from polhode.run_directory.stages import DEPTH, StageStore
+from polhode.run_directory.finished_stages import DEPTH, StageStore
 
 SIZE = 90, 120
 

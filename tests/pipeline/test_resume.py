@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-import polhode.run_directory.stages as stages_module
+import polhode.run_directory.finished_stages as stages_module
 from polhode.cli.main import main
 from polhode.files.record_files import write_record
 from tests.conftest import MakeOnce

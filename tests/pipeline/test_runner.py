@@ -17,7 +17,7 @@ from polhode.config import Config
 from polhode.geometry.lie import Ints
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.runner import Job, MadeByPair, Result, Runner, Stopwatch, stage
-from polhode.run_directory.stages import StageStore
+from polhode.run_directory.finished_stages import StageStore
 from polhode.runtime.errors import RunFailure
 from polhode.runtime.progress import Silent
 

@@ -7,5 +7,7 @@ depth_frame.py         one depth map, cropped, with the weight of each pixel
 block_grid.py          the voxels: blocks in a hash table
 integration.py         one frame into the voxels that it sees
 frame_alignment.py     a frame's pose from the surface that the other frames show
+vertex_views.py        what each frame says about each vertex
+vertex_sigma.py        the standard deviation of each vertex
 surface_extraction.py  the mesh with its standard deviations
 """

@@ -3,5 +3,5 @@
 In: pairs in the order of time. Out: a state after each, and what the batch need not find again.
 
 - stream: features, links with earlier frames, landmarks, window; what is known after a pair
-- ahead: what the batch will want of each pair, done in another process meanwhile; the growing surface
+- work_ahead: what the batch will want of each pair, done in another process meanwhile; the growing surface
 """

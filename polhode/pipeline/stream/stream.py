@@ -29,7 +29,7 @@ from polhode.frontend.rectification import make_rectifier, rectified_images
 from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
-from polhode.pipeline.stream.ahead import Ahead, ComingPair
+from polhode.pipeline.stream.work_ahead import Ahead, ComingPair
 from polhode.pipeline.stream_results import Observations, Streamed, observations_of
 from polhode.records.dataset import StereoImages
 from polhode.records.estimate import OnlineEstimate

@@ -16,7 +16,7 @@ from polhode.pipeline.stream.stream import LiveState
 from polhode.records.dataset import StereoImages, StereoSequence, open_sequence
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.archives import read_online
-from polhode.run_directory.stages import DEPTH
+from polhode.run_directory.finished_stages import DEPTH
 from polhode.run_directory.summary import read_summary
 from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import InputError

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import polhode.run_directory.stages as stages_module
-from polhode.run_directory.stages import KeptStages, StageStore
+import polhode.run_directory.finished_stages as stages_module
+from polhode.run_directory.finished_stages import KeptStages, StageStore
 from polhode.run_directory.summary_schema import Recording
 from polhode.runtime.errors import InputError, RunFailure
 

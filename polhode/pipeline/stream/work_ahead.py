@@ -24,7 +24,7 @@ from polhode.mapping.fusion.surface_extraction import empty_surface
 from polhode.pipeline.depth_maps import MAX_STORED_BYTES, PackedDepth
 from polhode.records.dataset import StereoImages
 from polhode.records.surface import SurfaceModel
-from polhode.run_directory.stages import DEPTH, StageStore
+from polhode.run_directory.finished_stages import DEPTH, StageStore
 from polhode.runtime.processes import Background
 
 _log = logging.getLogger(__name__)
