@@ -1,8 +1,8 @@
 """What the front end made of a pair or of its matches, taken from the first run of the suite that made it.
 
-Results of stages are stored under a digest of all that they depend on (``polhode/run_directory/finished_stages.py``):
-what a run takes here is what it would have computed. Runs whose front end is what is tested, or whose bytes
-are compared, compute theirs.
+Results of stages are stored under a digest of all that they depend on
+(``polhode/run_directory/finished_stages.py``): what a run takes here is what it would have computed. Runs
+whose front end is what is tested, or whose bytes are compared, compute theirs.
 """
 
 import os

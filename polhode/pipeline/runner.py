@@ -2,9 +2,9 @@
 
 A flow calls the runner with stages and with the results of others, in the order of the data; ``finish`` then
 computes them. A result whose inputs and settings are those of an earlier run is read from its folder
-(``run_directory.finished_stages``). This process works on the longest chain of results. Beside it, another one takes
-the first of the others whose inputs are there, or else what is made pair by pair; what it has not begun when
-this process has nothing else to do is done here.
+(``run_directory.finished_stages``). This process works on the longest chain of results. Beside it, another
+one takes the first of the others whose inputs are there, or else what is made pair by pair; what it has not
+begun when this process has nothing else to do is done here.
 """
 
 import logging
