@@ -230,10 +230,14 @@ def open_sequence(folder: Path) -> StereoSequence:
             reasons[check.stamp] = check.reason
             _require_enough(folder, reasons, n_listed, unchecked=len(files) - number)
     if not any(check.content for check in usable):
-        what = "all frames are black: no image shows anything above the noise; check exposure and lens cap"
         if any(check.bright for check in usable):
-            what = "all frames are saturated or uniformly bright; check exposure and gain"
-        raise InputError(f"{folder}: {what}")
+            raise InputError(
+                f"{folder}: all frames are saturated or uniformly bright; check exposure and gain"
+            )
+        raise InputError(
+            f"{folder}: all frames are black: no image shows anything above the noise; "
+            "check exposure and lens cap"
+        )
     measured = [k for k, check in enumerate(usable) if check.shows[1]]
     if ranges is not None and not measured:
         raise InputError(

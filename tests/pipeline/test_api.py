@@ -175,7 +175,7 @@ def test_errors_name_the_arguments_of_python_and_are_those_of_the_command(
         r"^output .*target.urdf: .urdf is .* give target.glb, or to='urdf'$": lambda: stored.export(
             "glb", place
         ),
-        r"^export has no option 'horizn'; did you mean horizon\? options: frame, cad, .*": lambda: (
+        r"^export has no option 'horizn'; did you mean horizon\? options: frame, unit, .*": lambda: (
             stored.export("tum", tum, horizn=2.0)
         ),
         r"^horizon=0: give the seconds": lambda: stored.export("tum", tum, horizon=0.0),

@@ -373,7 +373,7 @@ BAD: dict[str, tuple[Damage, str]] = {
     "a folder as wrench": (put("wrench0/data.csv", "a folder"), "data.csv is a folder: give a regular file"),
     "a device as noise of poses": (with_inspector(put("inspector0/sensor.yaml", "a device")),
         "sensor.yaml is a device: give a regular file"),
-    "endless aliases": (rewrite(CAM0, "a: &a [*a]"), "sensor.yaml line 1: alias 'a' stands"),
+    "endless aliases": (rewrite(CAM0, "a: &a [*a]"), "sensor.yaml line 1: an alias stands for a"),
     "UTF-16 list": (rewrite("cam0/data.csv", rows(STAMPS).encode("utf-16")), "not UTF-8 text"),
     "absolute path": (rewrite("cam0/data.csv", f"{STAMPS[0]},/etc/passwd\n"),
         "data.csv line 1: the name '/etc/passwd' leads out of the dataset"),

@@ -13,15 +13,8 @@ def is_own(path: Path) -> bool:
     return path.read_text() == "ours"
 
 
-def place_of(path: Path, *inputs: Path) -> Path:
+def place_of(path: Path) -> Path:
     return output_file(path, "report", "page.html", is_own)
-
-
-def test_what_the_command_reads_is_refused_by_any_name(tmp_path: Path) -> None:
-    (tmp_path / "model.ply").write_text("ours")
-    os.link(tmp_path / "model.ply", tmp_path / "other.ply")
-    with pytest.raises(InputError, match="this command reads that file"):
-        place_of(tmp_path / "other.ply", tmp_path / "model.ply")
 
 
 def test_names_of_a_run_are_taken_only_where_there_is_a_run(tmp_path: Path) -> None:
