@@ -6,7 +6,8 @@ that show nearly the same, only one is taken.
 
 Of a long stream key frames stay. Two frames show the same if they show the target from the same side at
 nearly the same time. Time counts as a share of the time so far, so that the frames of an earlier hour thin
-out as a later one comes: what is kept is spread evenly over the views and over the sequence.
+out as a later one comes. What is kept is spread evenly over the views, and over the sequence as far as the
+views allow: there may be gaps of half of it.
 """
 
 import numpy as np

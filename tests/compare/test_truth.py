@@ -16,6 +16,7 @@ from polhode.run_directory.archives import write_measurements
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Silent
 from tests.conftest import RENDERED_FRAMES
+from tests.front_end_results import SharedFrontEnd
 
 Measurements = tuple[StereoTracks, RelativePoses | None]
 OPTIONS = ["--runtime.workers", "1", "--compare.solvers", "gauss_newton,odometry"]
@@ -31,8 +32,9 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def measured(rendered_sequence: Path, config: Path) -> Measurements:
-    return measure(rendered_sequence, load_config(config, {"runtime.workers": 1}), Silent())
+def measured(rendered_sequence: Path, config: Path, front_end_once: SharedFrontEnd) -> Measurements:
+    with front_end_once():
+        return measure(rendered_sequence, load_config(config, {"runtime.workers": 1}), Silent())
 
 
 @pytest.fixture(scope="module")
