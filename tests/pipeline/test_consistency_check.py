@@ -24,7 +24,7 @@ EVERY, HALF = np.ones(14, dtype=np.bool_), np.arange(7)
 def solved(wrong: float = 0.0, noise_px: float = 1.0) -> MotionEstimate:
     """The motion when a share of the associations is wrong, or all are noisier."""
     config = Backend(solver="gauss_newton", process_noise="given")
-    sequence = generate(replace(SCENE, outliers=wrong, sigma_uv_px=noise_px), 3)
+    sequence = generate(replace(SCENE, outliers=wrong, sigma_uv_px=noise_px), 5)
     initial = initialize_motion(sequence.tracks, sequence.relative, config)
     return estimate_motion(sequence.tracks, initial, config, Silent())
 
@@ -44,7 +44,7 @@ def test_what_does_not_converge_is_refused_unless_nothing_did() -> None:
 
 
 def test_another_motion_is_a_revision_and_another_body_frame_is_none() -> None:
-    tracks = generate(replace(SCENE, outliers=0.0, sigma_uv_px=1.0), 3).tracks
+    tracks = generate(replace(SCENE, outliers=0.0, sigma_uv_px=1.0), 5).tracks
 
     def contradicts(later: MotionEstimate, connected: Bools = EVERY, shift_px: float = 0.0) -> bool:
         seen = replace(tracks, uvd_px=tracks.uvd_px + shift_px)
