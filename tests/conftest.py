@@ -37,13 +37,11 @@ WIDTH_PX, HEIGHT_PX, BASELINE_M = 64, 48, 0.09
 RENDERED_FRAMES = 14
 TIMESTAMPS_NS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(6, dtype=np.int64)
 
-LONGEST = (
-    "tests/test_package.py",
-    "tests/pipeline/test_run.py",
-    "tests/compare/test_truth.py",
-    "tests/compare/test_solver_process.py",
-)
+LONGEST = ("tests/test_package.py", "tests/pipeline/test_run.py", "tests/compare/test_truth.py")
 """Files that begin, so that at the end no process waits long for the other."""
+SHARE_RUNS = ("tests/pipeline", "tests/cli", "tests/compare", "tests/docs", "tests/examples", "tests/studies")
+"""Folders whose tests read the same runs: they follow in the same process, as another one would wait for what it
+is making. The other process begins with the second half of all tests."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -56,8 +54,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first; the order is kept otherwise."""
-    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
+    """The longest files first, then those that share runs; the order is kept otherwise."""
+    items.sort(key=lambda item: (not item.nodeid.startswith(LONGEST), not item.nodeid.startswith(SHARE_RUNS)))
 
 
 def pytest_collection_finish() -> None:
