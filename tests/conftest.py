@@ -40,8 +40,8 @@ TIMESTAMPS_NS = 1_600_000_000_000_000_000 + 500_000_000 * np.arange(6, dtype=np.
 LONGEST = ("tests/test_package.py", "tests/pipeline/test_run.py", "tests/compare/test_truth.py")
 """Files that begin, so that at the end no process waits long for the other."""
 SHARE_RUNS = ("tests/pipeline", "tests/cli", "tests/compare", "tests/docs", "tests/examples", "tests/studies")
-"""Folders whose tests read the same runs: they follow in the same process, as another one would wait for what it
-is making. The other process begins with the second half of all tests."""
+"""Folders whose tests read the same runs: they follow in the same process, as another one would wait for what
+it is making. The other process begins with the second half of all tests."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
