@@ -42,7 +42,7 @@ class Job:
     continues: tuple[str, ...] = ()
     """Hidden folders beside the result in which the same command goes on"""
     resumes: bool = False
-    """Whether an unfinished result is visible, and the same command goes on with it"""
+    """Whether an unfinished result may be visible; the same command goes on with it, or begins again"""
 
     def reads(self, name: str) -> bool:
         """Whether the command, or one before or after it, needs this input of the stage."""

@@ -8,7 +8,7 @@ output is full: a tmpfs with room for a random share of the result (limits on th
 can be mounted). Some commands replace an earlier good result. After each:
 
 - kept: an earlier result is unchanged, or the new one complete; without an earlier one, the result is absent,
-  complete, or declared unfinished (a run that failed; a comparison or a training, which resume)
+  complete, or declared unfinished (a run that failed; a comparison, which begins again; a training)
 - later: a later command on the output works if it is whole, and else refuses in one line with exit code 2
 - same: the command repeated gives the bytes of an undisturbed one, but for times and logs
 - gone: five seconds after the kill no process of it is left

@@ -62,6 +62,8 @@ def _compared(
     deadline = perf_counter() + config.compare.total_s
     problems: list[ProblemSummary] = []
     rows: list[Row] = []
+    # an earlier comparison stands until this one is complete; without one, an interrupt leaves what there is
+    is_first = not (folder / FILE).exists()
     for source in wanted:
         with TemporaryDirectory(prefix="polhode-compare-") as temporary:
             file = Path(temporary) / "problem.npz"
@@ -87,11 +89,12 @@ def _compared(
                         own.append(row)
                         advance()
             finally:
-                # an interrupt leaves what was measured before it
                 if own:
                     rows += own
                     problems.append(_summary(source, problem, own))
-                    comparison = _written(folder, config, problems, rows)
+                    if is_first:
+                        _written(folder, config, problems, rows)
+    comparison = _written(folder, config, problems, rows)
     write_page(comparison, folder / "compare.html")
     return comparison
 

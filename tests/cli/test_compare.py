@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from polhode.cli.main import main
+from polhode.compare import comparison
 from polhode.compare.comparison import claim
 from polhode.compare.problem.sources import SCENES
-from polhode.compare.rows import read_comparison
+from polhode.compare.rows import Case, Row, read_comparison
+from polhode.compare.solver import Entry
 from polhode.files.output.marked_folder import MARK, write_mark
 from polhode.run_directory.archives import write_measurements
 from polhode.runtime.errors import InputError
@@ -75,6 +77,28 @@ def test_a_stored_run_gives_table_csv_json_and_page(compare: Compare, out: Path,
     assert compare("--compare.solvers", "odometry", "--quiet") == 0
     assert capsys.readouterr().out == f"Comparison: {out / 'compare.html'}\n"
     assert [row.solver for row in read_comparison(out / "compare.json").rows] == ["odometry"]
+
+
+def test_an_interrupt_leaves_what_was_measured_and_an_earlier_comparison_as_it_was(
+    compare: Compare, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = comparison.row_of
+
+    def interrupted(file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
+        if entry.name == "odometry":
+            raise KeyboardInterrupt
+        return measured(file, entry, case, limit_s)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(comparison, "row_of", interrupted)
+        assert compare(*SOLVERS) == 130
+    assert [row.solver for row in read_comparison(out / "compare.json").rows] == ["gauss_newton"]
+    assert compare("--compare.solvers", "odometry") == 0
+    before = contents(out)
+    with monkeypatch.context() as patch:
+        patch.setattr(comparison, "row_of", interrupted)
+        assert compare(*SOLVERS) == 130
+    assert contents(out) == before
 
 
 def test_what_has_no_time_left_is_a_row(compare: Compare, out: Path, capsys: Capture) -> None:
