@@ -13,6 +13,7 @@ from polhode.compare.comparison import claim
 from polhode.compare.problem.sources import SCENES
 from polhode.compare.rows import Case, Row, read_comparison
 from polhode.compare.solver import Entry
+from polhode.compare.solver_process import row_of
 from polhode.files.output.marked_folder import MARK, write_mark
 from polhode.run_directory.archives import write_measurements
 from polhode.runtime.errors import InputError
@@ -82,12 +83,10 @@ def test_a_stored_run_gives_table_csv_json_and_page(compare: Compare, out: Path,
 def test_an_interrupt_leaves_what_was_measured_and_an_earlier_comparison_as_it_was(
     compare: Compare, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measured = comparison.row_of
-
     def interrupted(file: Path, entry: Entry, case: Case, limit_s: float) -> Row:
         if entry.name == "odometry":
             raise KeyboardInterrupt
-        return measured(file, entry, case, limit_s)
+        return row_of(file, entry, case, limit_s)
 
     with monkeypatch.context() as patch:
         patch.setattr(comparison, "row_of", interrupted)
