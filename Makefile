@@ -59,6 +59,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo '$(EXTRAS)' > $@
 
 $(SOLVERS): $(STAMP)
+	@grep -qs solvers $(STAMP) || \
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[solvers]'
 	@touch $@
 

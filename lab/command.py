@@ -50,7 +50,7 @@ def polhode(*arguments: object, may_fail: bool = False) -> None:
         raise SystemExit(done.returncode)
 
 
-QUICK = ("--scene.render.samples", "1", "--scene.render.bounces", "0")
+QUICK = ("--scene.render.samples", "1", "--scene.render.bounces", "0", "--runtime.workers", "1")
 """Options that make rendering quick, for short forms."""
 LIGHT = {
     "frontend.features.second": None,
@@ -87,6 +87,12 @@ def evaluated_run(config: Path) -> Path:
     if (run / "trajectory.csv").is_file() and not (run / "metrics.json").is_file():
         polhode("evaluate", run, sequence)
     return run
+
+
+def short_scene() -> Path:
+    """A few pairs of a body that no network was trained on, for short forms; made once."""
+    config = ROOT / "configs/frontend_test/asteroid.yaml"
+    return simulated(config, ROOT / "runs/short/frontend", "--scene.frames", "5", *QUICK)
 
 
 def beginning_of_sample() -> Path:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from polhode.config.frontend_settings import GuidedMatching
 from polhode.frontend.features.keypoints import Descriptors
@@ -22,8 +22,9 @@ from polhode.records.estimate import InitialMotion
 
 MAX_VIEW_ANGLE_DEG = 30.0
 """Largest change of viewing direction between descriptors of landmarks that may be one."""
-AGREEMENT_CHI2 = float(chi2.ppf(0.99, 3))
-"""Largest normalised squared distance between two estimates of one position."""
+AGREEMENT_CHI2 = float(2.0 * gammaincinv(1.5, 0.99))
+"""Largest normalised squared distance between two estimates of one position: 99 % of chi-squared with three
+degrees of freedom."""
 POSITION_FLOOR_PX = 0.3
 """Uncertainty of a landmark's position beyond its observation noise, from poses and light, as an image
 distance."""

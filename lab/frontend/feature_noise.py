@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 from tyro.conf import Positional, arg
 
-from lab.command import ROOT, Short, command, simulated
+from lab.command import ROOT, Short, command, short_scene
 from polhode.config.frontend_settings import Features, Frontend
 from polhode.config.loader import load_config
 from polhode.frontend.features.surface_features import (
@@ -124,8 +124,7 @@ def main(
     """Print the constants, and the normalised variances."""
     frontend = Frontend(features=Features(method="polhode", surface_descriptor=surface_descriptor))
     if short:
-        unseen = sorted((ROOT / "configs/frontend_test").glob("*.yaml"))[0]
-        scenes, check = 0, (simulated(unseen, ROOT / "data/frontend_test" / unseen.stem),)
+        scenes, check = 0, (short_scene(),)
     train = load_config(config).train
     assert train is not None
     folders = [scene_folder(train.corpus, i) for i in split(train.corpus).training[:scenes]]

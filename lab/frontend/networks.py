@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 import numpy as np
 from tyro.conf import Positional, arg
 
-from lab.command import ROOT, Short, Workers, command, simulated
+from lab.command import ROOT, Short, Workers, command, short_scene, simulated
 from lab.presentation import print_table
 from polhode.config.loader import load_config
 from polhode.frontend.features.patch_descriptors import descriptor_network
@@ -44,8 +44,11 @@ def main(
 ) -> None:
     """Print the table."""
     if network == "descriptor":
-        configs = sorted((ROOT / "configs/frontend_test").glob("*.yaml"))[: 1 if short else None]
-        folders = inputs or tuple(simulated(c, ROOT / "data/frontend_test" / c.stem) for c in configs)
+        if short:
+            folders: tuple[Path, ...] = (short_scene(),)
+        else:
+            configs = sorted((ROOT / "configs/frontend_test").glob("*.yaml"))
+            folders = inputs or tuple(simulated(c, ROOT / "data/frontend_test" / c.stem) for c in configs)
         head = [f"{angle} deg {title}" for angle in ("30", "60") for title in METHODS.values()]
         print_table(["sequence", *head, "reliability AUC"], _rows(folders, weights[0] if weights else None))
         return

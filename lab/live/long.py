@@ -5,7 +5,7 @@
 Synthetic tracks: the sliding window over 10,000 frames of a tumbling body, whose landmarks return into view
 with each revolution. Rendered frames: the stream (features, matching, window) over the 2,000 small pairs of
 configs/long.yaml, which are simulated into runs/long if they are not there, then the batch answer by key
-frames; ``--short``: 24 frames of tracks alone. Milliseconds are processor time of one core, medians over 5 %
+frames; ``--short``: 12 frames of tracks alone. Milliseconds are processor time of one core, medians over 5 %
 of the sequence; memory is that of the process at their ends (of the tracks, 580 MiB are the tracks themselves
 and their generation).
 """
@@ -59,7 +59,7 @@ def main(
 ) -> None:
     """Measure what the record lacks, print the tables."""
     kinds: list[Kind] = ["tracks"] if short else [only] if only else ["tracks", "rendered"]
-    cases: list[Case] = [{"kind": kind, "frames": 24 if short else frames} for kind in kinds]
+    cases: list[Case] = [{"kind": kind, "frames": 12 if short else frames} for kind in kinds]
     # one after the other, each in its process: time and memory are measured
     for line in complete(record, cases, measure, 1, process_each=True):
         (print_window if line["case"]["kind"] == "tracks" else print_run)(line)

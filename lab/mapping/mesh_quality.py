@@ -70,19 +70,19 @@ def depth_maps(
     return extract_depth(sequence, rectifier, config.frontend, spans, 1)
 
 
-def measure(folder: Path, run: Path | None, config: Config) -> list[object]:
+def measure(folder: Path, run: Path | None, config: Config, frames: int | None) -> list[object]:
     """Rebuild one sequence's surface and compare it with the truth: a row of the table."""
     sequence, truth = open_sequence(folder), read_truth(folder)
     if truth.mesh is None:
         raise SystemExit(f"{folder}: this sequence has no true surface")
     rectifier, X_true = make_rectifier(sequence.calibration), true_poses(sequence, truth)
-    X_NG = X_true if run is None else run_poses(run)
-    X_RG = inverse_pose(sequence.X_NC @ rectifier.X_CR) @ X_NG
-    to_true_G = between_target_frames(X_NG, X_true, np.zeros(3))
+    X_NG = (X_true if run is None else run_poses(run))[:frames]
+    X_RG = inverse_pose(sequence.X_NC[:frames] @ rectifier.X_CR) @ X_NG
+    to_true_G = between_target_frames(X_NG, X_true[:frames], np.zeros(3))
     corners_G = transform_points(inverse_pose(to_true_G), np.asarray(truth.mesh.vertices))
     maps, depth_s = depth_maps(sequence, rectifier, X_RG, corners_G, config), 0.0
 
-    def frames() -> Iterator[tuple[DepthMap, Array]]:
+    def posed() -> Iterator[tuple[DepthMap, Array]]:
         nonlocal depth_s
         for X in X_RG:
             begin = process_time()
@@ -92,7 +92,7 @@ def measure(folder: Path, run: Path | None, config: Config) -> list[object]:
 
     begin = process_time()
     surface = fuse(
-        frames(),
+        posed(),
         rectifier.rig,
         config.mapping,
         covariance_G=None if run is None else read_covariance(run).covariance_X_NG,
@@ -100,7 +100,7 @@ def measure(folder: Path, run: Path | None, config: Config) -> list[object]:
     )
     fusion_s = process_time() - begin - depth_s
     mesh = surface.mesh.copy()
-    mesh.apply_transform(between_target_frames(X_NG, X_true, mesh.centroid))
+    mesh.apply_transform(between_target_frames(X_NG, X_true[:frames], mesh.centroid))
     m, thrice = (
         compare_surfaces(mesh, truth.mesh, seen_truth(truth.mesh, X_true, sequence, least))
         for least in (1, 3)
@@ -109,11 +109,11 @@ def measure(folder: Path, run: Path | None, config: Config) -> list[object]:
     of_thrice = (thrice.completion_mm, thrice.hausdorff95_mm, thrice.completeness_3mm, thrice.chamfer_mm)
     return [
         folder.name,
-        len(sequence),
+        len(X_NG),
         *numbers((*distances, *of_thrice), ".3f"),
         *numbers(within_sigma(mesh, surface.sigma_m, truth.mesh), ".2f"),
         len(mesh.vertices),
-        *numbers((depth_s / len(sequence), fusion_s / len(sequence)), ".3f"),
+        *numbers((depth_s / len(X_NG), fusion_s / len(X_NG)), ".3f"),
     ]
 
 
@@ -131,12 +131,13 @@ def main(
     sequences: Sequences,
     runs: Annotated[tuple[Path, ...], arg(help="Runs whose poses are used, one for each sequence.")] = (),
     config: Configuration = DEFAULT,
+    frames: Annotated[int | None, arg(help="Only the first so many.")] = None,
 ) -> None:
     """Measure and print the table."""
     if runs and len(runs) != len(sequences):
         raise SystemExit("--runs needs one run for each sequence")
     jobs, settings = zip(sequences, runs or [None] * len(sequences), strict=True), load_config(config)
-    print_table(HEAD, (measure(sequence, run, settings) for sequence, run in jobs))
+    print_table(HEAD, (measure(sequence, run, settings, frames) for sequence, run in jobs))
 
 
 if __name__ == "__main__":

@@ -74,7 +74,7 @@ def main(
     ]
     lines = complete(record, cases, measure_accuracy, workers)
     print_accuracy({name: [line for line in lines if line["case"]["motion"] == name] for name in scenes})
-    n_frames = 40 if short else GROWTH.frames
+    n_frames = 20 if short else GROWTH.frames
     growth: list[Case] = [{"solver": solver, "frames": n_frames} for solver in SOLVERS]
     # one after the other: they are timed
     print_growth(complete(times, growth, measure_growth, 1))

@@ -56,9 +56,10 @@ def main(
     data: Annotated[tuple[Path, ...], arg(help="Sequences, one for each run, with --truth.")] = (),
     horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
     draws: Annotated[int, arg(help="Sampled truths.")] = 400,
+    cells: Annotated[int, arg(help="Cells along the longest side of the volume.")] = 72,
 ) -> None:
     """Measure and print the table."""
-    options = KeepOutOptions(horizon, 0.99)
+    options = KeepOutOptions(horizon, 0.99, cells=cells)
     if truth:
         folders = data or [Path("data") / run.name for run in runs]
         print_table(TRUTH, (truth_row(*each, options) for each in zip(runs, folders, strict=True)))

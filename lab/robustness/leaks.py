@@ -35,7 +35,7 @@ from polhode.runtime.errors import RunFailure
 
 Load = Literal["estimator", "images"]
 RUNS: dict[Load, int] = {"estimator": 10_000, "images": 300}
-SHORT_RUNS: dict[Load, int] = {"estimator": 16, "images": 2}
+SHORT_RUNS: dict[Load, int] = {"estimator": 8, "images": 1}
 SAMPLES = 100
 WARM_UP = 0.1
 """Share of the runs in which caches fill, libraries load and loops compile"""

@@ -89,7 +89,7 @@ class Measure:
         settings: dict[str, Any] = {"runtime.workers": 1}
         if self.short:
             settings |= LIGHT
-            scene = scene.model_copy(update={"frames": 10})
+            scene = scene.model_copy(update={"frames": 8})
         sequence, out = place / "sequence", place / "run"
         if not (sequence / "mav0").is_dir():
             write_sequence(plan_sequence(scene, seed), sequence, Silent())

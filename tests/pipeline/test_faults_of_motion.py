@@ -136,10 +136,9 @@ def test_about_half_a_turn_between_frames_is_said_whichever_way_it_ends(
         assert "by more than half a revolution between pairs" in assert_failed(outcome, STOPPED_EARLY)
 
 
-@pytest.mark.parametrize("turn_deg", [260.0, 280.0])
-def test_a_motion_a_revolution_off_is_never_believed(run: Run, turn_deg: float) -> None:
+def test_a_motion_a_revolution_off_is_never_believed(run: Run) -> None:
     """Euler's equation with another inertia may fit too: nothing that hangs on it counts as determined."""
-    outcome = run(replace(fast(turn_deg, (0.5, 0.7, 0.5), 150), frames=20), *NO_WINDOW)
+    outcome = run(replace(fast(260.0, (0.5, 0.7, 0.5), 150), frames=20), *NO_WINDOW)
     if outcome.code == 0:
         known = outcome.summary["identifiable"]
         assert not (known["k1"] or known["k2"] or known["axes"])

@@ -13,7 +13,7 @@ import pytest
 
 from polhode.cli.main import main
 from polhode.frontend.extract import extract_depth
-from polhode.geometry.lie import Array, make_pose
+from polhode.geometry.lie import make_pose
 from polhode.mapping.fusion.field import Frame, fuse
 from polhode.records.surface import DepthMap, SurfaceModel
 from tests.pipeline.conftest import QUICK, REST_FRAMES
@@ -31,8 +31,6 @@ class Defect:
     """Frames whose depth is NaN all over"""
     poses: Callable[[int, Any], Any] = lambda k, X_RG: X_RG
     """What becomes of the pose of frame k on the way to the fusion"""
-    covariance_of: int | None = None
-    """The frame whose pose has a covariance with NaN"""
     options: tuple[str, ...] = ()
 
 
@@ -44,10 +42,6 @@ DEFECTS = {
         "no part of the surface was seen in 3 frames",
         poses=lambda k, X_RG: X_RG @ make_pose(np.eye(3), [0.4 * k, 0.0, 0.0]),
     ),
-    "no pose": Defect(
-        "1 of 6 frames have no finite pose", poses=lambda k, X_RG: X_RG * np.nan if k == 2 else X_RG
-    ),
-    "doubtful pose": Defect("1 of 6 frames have a pose of unknown precision", covariance_of=4),
     "full": Defect(
         "the field of 3 MiB is full and parts of the surface are missing",
         options=("--mapping.memory-mib", "3", "--mapping.voxel-mm", "1.5"),
@@ -85,12 +79,9 @@ def test_what_is_wrong_with_depth_and_poses_reaches_the_user(
             nan = np.full_like(depth.depth_m, np.nan)
             yield replace(depth, depth_m=nan) if k in defect.without_depth else depth
 
-    def fused(frames: Iterable[Frame], *more: Any, covariance_G: Array, **others: Any) -> SurfaceModel:
-        if defect.covariance_of is not None:
-            covariance_G = covariance_G.copy()
-            covariance_G[defect.covariance_of, 1, 1] = np.nan
+    def fused(frames: Iterable[Frame], *more: Any, **others: Any) -> SurfaceModel:
         given = ((depth, defect.poses(k, X_RG)) for k, (depth, X_RG) in enumerate(frames))
-        return fuse(given, *more, **{"covariance_G": covariance_G, **others})
+        return fuse(given, *more, **others)
 
     monkeypatch.setattr("polhode.pipeline.depth_maps.extract_depth", maps)
     monkeypatch.setattr("polhode.pipeline.build_surface.fuse", fused)

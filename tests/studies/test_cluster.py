@@ -268,12 +268,3 @@ def test_a_cluster_that_cannot_be_had_gives_one_line(
         printed = capsys.readouterr().err
         assert printed.startswith("polhode: error: ") and printed.count("\n") == 1 and said in printed
         assert not (tmp_path / "out").exists()
-
-
-def test_the_rest_of_the_program_does_not_load_dask() -> None:
-    code = (
-        "import sys, polhode.api, polhode.cli.main; "
-        "sys.exit(' '.join({'dask', 'distributed', 'pyarrow'} & set(sys.modules)) or 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import (
@@ -145,7 +145,7 @@ def interpolate(
 
 _STILL = 0.05
 """Converged when a step is less than this, in standard deviations."""
-_IMPLAUSIBLE = float(chi2.isf(2.0 * 3.167e-5, 6))
+_IMPLAUSIBLE = float(chdtri(6, 2.0 * 3.167e-5))
 """Squared length of a correction of six numbers with the probability of four sigma in one."""
 
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
-from scipy.stats import qmc
 
 from polhode.geometry.lie import Array
 from polhode.records.estimate import Landmarks
@@ -66,6 +65,8 @@ class BodyHull:
 
     def points(self, count: int) -> Array:
         """(count, 3) or fewer points [m], spread evenly over the volume; always the same."""
+        from scipy.stats import qmc  # half a second, which most runs need not
+
         middle = self.vertices.mean(axis=0)
         axes = np.linalg.svd(self.vertices - middle, full_matrices=False)[2]
         along = (self.vertices - middle) @ axes.T

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label, map_coordinates
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
-from scipy.stats import norm
+from scipy.special import ndtri
 from skimage.measure import marching_cubes
 
 from polhode.geometry.lie import Array
@@ -91,7 +91,7 @@ class MeasuredBody:
 
 def simultaneous_sigmas(count: int, miss: float) -> float:
     """Sigmas below which ``count`` independent errors all stay with the probability 1 - ``miss``."""
-    return float(norm.isf(-np.expm1(np.log1p(-miss) / max(count, 1))))
+    return float(-ndtri(-np.expm1(np.log1p(-miss) / max(count, 1))))
 
 
 def grown_body(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover = "auto") -> MeasuredBody:
