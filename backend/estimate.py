@@ -29,9 +29,11 @@ from polhode.backend.result import FAR_TURNS, assemble
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.solve import solve
 from polhode.backend.uncertainty.ambiguity import (
-    HypothesisChoice,
-    ambiguous_turns_deg,
+    OpenRotation,
     choose_hypothesis,
+    end_of,
+    open_rotations,
+    revolution_off,
     with_ambiguous_rotation,
 )
 from polhode.backend.wrenches.known_wrench import fit_known_wrench
@@ -64,8 +66,8 @@ class Fit:
     pruned: PrunedFit
     trials: dict[str, HypothesisFit]
     """Fits of the hypotheses, by name"""
-    choice: HypothesisChoice
-    """The hypothesis that was chosen"""
+    choice: tuple[OpenRotation, ...]
+    """The rotations between frames that fit equally well, the chosen one first"""
     wrench_runner_up: dict[str, float]
     """Additional cost of the other directions of a known torque's axes, by name"""
 
@@ -94,7 +96,7 @@ def fit(
     failure: RunFailure | LinAlgError | None = None
     found: list[tuple[Fit, list[InitialGuess]]] = []
     for first in (initial, *motions_from_fewer_frames(tracks, initial)):
-        starts = initial_guesses(tracks, first, data)
+        starts = initial_guesses(tracks, first, data, config.max_rate_rad_s)
         try:
             fitted = _fit(data, starts, config, advance)
         except (RunFailure, LinAlgError) as error:
@@ -137,7 +139,8 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
 def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance: Advance) -> Fit:
     trials = try_hypotheses(data, starts, advance)
     choice = choose_hypothesis(trials, data.dt_s)
-    pruned = remove_outliers(MotionFit(data, trials[choice.name].iterate))
+    assert choice[0].name is not None
+    pruned = remove_outliers(MotionFit(data, trials[choice[0].name].iterate))
     for _ in range(2):
         if np.mean(pruned.kept.landmarks) >= MIN_KEPT_LANDMARKS:
             break
@@ -148,14 +151,36 @@ def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance:
         fitted, runner_up = fit_known_wrench(pruned.small)
         pruned = pruned.with_solution(fitted)
     if config.process_noise == "estimated":
-        level = estimate_process_noise(pruned.small)
-        pruned = replace(
-            pruned.with_solution(level.iterate),
-            data=with_level(pruned.data, level.data.accel_psd, level.data.torque_psd),
-            kept=replace(pruned.kept, data=level.data),
-        )
+        pruned = _with_level(pruned)
     advance()
     return Fit(pruned, trials, choice, runner_up)
+
+
+def _with_level(pruned: PrunedFit) -> PrunedFit:
+    """The fit with the level of the disturbances that is most likely."""
+    level = estimate_process_noise(pruned.small)
+    return replace(
+        pruned.with_solution(level.iterate),
+        data=with_level(pruned.data, level.data.accel_psd, level.data.torque_psd),
+        kept=replace(pruned.kept, data=level.data),
+    )
+
+
+def _hypothesis(
+    tracks: StereoTracks, initial: InitialMotion, found: Fit, rotation: OpenRotation, config: Backend
+) -> MotionEstimate | None:
+    """The estimate of a motion that was not chosen; None: it was not fitted, or is no motion after all."""
+    if rotation.name is None:
+        return None
+    try:
+        pruned = remove_outliers(MotionFit(found.pruned.data, found.trials[rotation.name].iterate))
+        if config.process_noise == "estimated":
+            pruned = _with_level(pruned)
+        ended = solve(pruned.small, config.model_copy(update={"solver": "gauss_newton"}))
+        whole = pruned.with_solution(ended.iterate)
+        return assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
+    except (RunFailure, LinAlgError):
+        return None
 
 
 def _replace_landmarks(stated: MotionData, tracks: StereoTracks, found: PrunedFit) -> MotionFit:
@@ -239,7 +264,8 @@ def _estimate(
         whole = found.pruned.with_solution(ended.iterate)
         estimate = assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
         advance()
-    trials, best = found.trials, found.choice.name
+    trials, best = found.trials, found.choice[0].name
+    assert best is not None
     runner_up = {name: trial.cost - trials[best].cost for name, trial in trials.items() if name != best}
     outcome = replace(
         estimate.solver,
@@ -254,9 +280,16 @@ def _estimate(
     estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px, config.focal_error))
     stronger = disturbance_ratio(whole.data, config.accel_psd, config.torque_psd)
     much_disturbed = stronger >= SUSPICIOUS_RATIO
-    turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, much_disturbed)
-    if turns_deg is not None:
-        estimate = with_ambiguous_rotation(estimate, turns_deg)
+    rotations = open_rotations(found.choice, trials, data.dt_s, much_disturbed)
+    if len(rotations) > 1:
+        step_s = float(np.median(data.dt_s))
+        hypotheses = [end_of(estimate, rotations[0])]
+        for rotation in rotations[1:]:
+            other = _hypothesis(tracks, initial, found, rotation, config)
+            hypotheses.append(
+                revolution_off(estimate, step_s, rotation) if other is None else end_of(other, rotation)
+            )
+        estimate = with_ambiguous_rotation(estimate, tuple(hypotheses))
     end_s = float(np.sum(data.dt_s))
     unused = [
         f"backend.unknown_wrench_s: {start:g} to {end:g} s is outside the sequence of {end_s:g} s"

@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.initialization.initialize import robust_landmarks
-from polhode.backend.initialization.rates import FAST_HINT, OPPOSITE_DIRECTION, rate_branches, shoot
+from polhode.backend.initialization.rates import FAST_HINT, rate_branches, shoot
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData
@@ -155,7 +155,7 @@ PASSES = (3, 3, 3, 2)
 SAME_INERTIA = 0.03
 """Two inertias (second moments of determinant 1) closer than this will end in the same minimum."""
 N_HYPOTHESES = 5
-"""Number of guesses of the inertia; more are tried where the direction of rotation is ambiguous."""
+"""Number of guesses of the inertia for each rotation between frames."""
 
 
 @dataclass(frozen=True)
@@ -207,8 +207,10 @@ def _start(tracks: StereoTracks, initial: InitialMotion, data: MotionData, known
     return Iterate(*states, known.com_G, xi, R_inertia, p_G, camera)
 
 
-def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionData) -> list[InitialGuess]:
-    """Starting points from the initial poses, one for each direction in which the target may rotate."""
+def initial_guesses(
+    tracks: StereoTracks, initial: InitialMotion, data: MotionData, max_rate_rad_s: float | None = None
+) -> list[InitialGuess]:
+    """Starting points from the initial poses, for each rotation between frames that may be (``rates``)."""
     use = np.flatnonzero(initial.connected)
     zero = np.zeros((tracks.n_frames, 3))
     base = _start(tracks, initial, data, KnownMotion(zero, zero, zero[0], np.eye(3)))
@@ -217,12 +219,12 @@ def initial_guesses(tracks: StereoTracks, initial: InitialMotion, data: MotionDa
     base = replace(base, com_G=com_G, v_N=np.tile(velocity, (tracks.n_frames, 1)))
     starts = []
     X_NG = tracks.X_NR @ initial.X_RG
-    for suffix, w_G in rate_branches(tracks.time_s, X_NG, initial.connected).items():
+    for suffix, w_G in rate_branches(tracks.time_s, X_NG, initial.connected, max_rate_rad_s).items():
         hypotheses = inertia_hypotheses(base.R_NG[use], w_G[use])
         guesses = {name + suffix: guess for name, guess in hypotheses.items()}
         gaps = long_gaps(tracks.time_s, initial.connected, w_G)
         starts.append(InitialGuess(replace(base, w_G=w_G), guesses, gaps, tracks, initial))
-    for suffix, shot in shoot(tracks.time_s, base.R_NG, initial.connected).items():
+    for suffix, shot in shoot(tracks.time_s, base.R_NG, initial.connected, max_rate_rad_s).items():
         iterate = replace(starts[0].iterate, w_G=shot.w_G)
         starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
     return starts
@@ -255,15 +257,20 @@ def try_hypotheses(
         trials |= of_start
     if not trials:
         raise RunFailure(f"no consistent motion: every hypothesis of the inertia diverged ({FAST_HINT})")
-    directions = [
-        [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other] for other in (False, True)
-    ]
-    if all(directions):
-        # the best of each direction of rotation is solved further: their costs may differ by little
-        for best in [min(names, key=lambda name: trials[name].cost) for names in directions]:
+    if len(bests := best_of_rotations(trials)) > 1:
+        # the best of each rotation is solved further: their costs may differ by little
+        for best in bests:
             refined = solve_briefly(MotionFit(data, trials[best].iterate), [], (10, 10, 10))
             trials[best] = trials[best] if refined is None else refined
     return trials
+
+
+def best_of_rotations(trials: dict[str, HypothesisFit]) -> list[str]:
+    """Of the hypotheses of each rotation between frames, the name of the one of least cost."""
+    best: dict[str, str] = {}
+    for name in sorted(trials, key=lambda name: trials[name].cost):
+        best.setdefault(name.partition(",")[2], name)
+    return list(best.values())
 
 
 def try_hypothesis(

@@ -48,10 +48,12 @@ class Shot:
     misfit: float
 
 
-def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
-    """The best shot in each direction of rotation, by suffix of the hypothesis; none for short rotations.
+def shoot(
+    time_s: Array, R_NG: Array, connected: Bools, max_rate_rad_s: float | None = None
+) -> dict[str, Shot]:
+    """The best shot of each rotation between frames, by suffix of the hypothesis; none for short rotations.
 
-    time_s (F,), R_NG (F, 3, 3), connected (F,).
+    time_s (F,), R_NG (F, 3, 3), connected (F,); max_rate_rad_s as in ``rate_branches``.
     """
     index = np.flatnonzero(connected)
     run = max(np.split(index, np.flatnonzero(np.diff(index) > 1) + 1), key=len)
@@ -59,14 +61,14 @@ def shoot(time_s: Array, R_NG: Array, connected: Bools) -> dict[str, Shot]:
         return {}
     t, R = time_s[run] - time_s[run[0]], R_NG[run]
     turn = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-    if np.median(np.linalg.norm(turn, axis=1)) < SHOOTING_RAD:
+    middle = float(np.median(np.linalg.norm(turn, axis=1)))
+    count = n_rotations(middle, float(np.median(np.diff(t))), max_rate_rad_s)
+    if middle < SHOOTING_RAD and count < 2:
         return {}
-    angle = float(np.linalg.norm(turn[0]))
-    directions = {"": turn[0]}
-    if np.median(np.linalg.norm(turn, axis=1)) > AMBIGUOUS_TURN_RAD:
-        directions[OPPOSITE_DIRECTION] = turn[0] * (1.0 - 2.0 * np.pi / max(angle, 1e-6))
+    angle = max(float(np.linalg.norm(turn[0])), 1e-6)
     shots = {}
-    for suffix, first in directions.items():
+    for suffix, more in list(zip(ROTATIONS, REVOLUTIONS, strict=True))[:count]:
+        first = turn[0] * (1.0 + 2.0 * np.pi * more / angle)
         x, misfit = _best(t, R, first / t[1])
         second = FORM.second_moments(x[3:], np.eye(3))
         w_G = _rates(time_s, R_NG, connected, int(run[0]), x[:3], inertia_from_second_moments(second))
@@ -144,9 +146,14 @@ def _step_residuals(w_G: Array, dt: Array, turn: Array, J_G: Array) -> Array:
 
 
 AMBIGUOUS_TURN_RAD = np.deg2rad(90.0)
-"""Median rotation between neighbouring frames above which both directions are tried."""
+"""Median rotation between neighbouring frames above which both directions are tried, without a limit."""
 OPPOSITE_DIRECTION = ", opposite direction"
-"""Suffix of the name of a hypothesis with the longer rotations."""
+ROTATIONS = (
+    "", OPPOSITE_DIRECTION, ", a revolution more", ", opposite direction and a revolution more",
+)  # fmt: skip
+"""Suffixes of the names of hypotheses: rotations between frames that lead to the same attitudes, by length"""
+REVOLUTIONS = (0, -1, 1, -2)
+"""That each of them adds to the shortest rotation"""
 MIN_INTERVALS = 3
 FAST_HINT = "a possible cause: the target rotates by more than half a revolution between pairs"
 """Beyond the rotations that are tried in both directions, poses show the shorter one, which no body
@@ -183,10 +190,21 @@ def interpolated_rates(time_s: Array, centres_s: Array, rates: Array) -> Array:
     return np.stack([np.interp(time_s, centres_s, rates[:, axis]) for axis in range(3)], axis=1)
 
 
-def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Array]:
-    """Body rates (F, 3) [rad/s] by suffix of the hypothesis: one, or both directions of large rotations.
+def n_rotations(turn_rad: float, dt_s: float, max_rate_rad_s: float | None) -> int:
+    """How many of ROTATIONS are compared where the shortest one between two frames is turn_rad."""
+    if max_rate_rad_s is None:
+        return 1 if turn_rad < AMBIGUOUS_TURN_RAD else 2
+    lengths = np.abs(turn_rad + 2.0 * np.pi * np.array(REVOLUTIONS))
+    return max(int(np.sum(lengths <= max_rate_rad_s * dt_s)), 1)
 
-    time_s (F,), X_NG (F, 4, 4), connected (F,).
+
+def rate_branches(
+    time_s: Array, X_NG: Array, connected: Bools, max_rate_rad_s: float | None = None
+) -> dict[str, Array]:
+    """Body rates (F, 3) [rad/s] by suffix of the hypothesis, the shortest rotations first.
+
+    time_s (F,), X_NG (F, 4, 4), connected (F,); max_rate_rad_s: all rotations up to it; None: one, or both
+    directions of large rotations.
     """
     short = frame_rates(time_s, X_NG, connected)
     index: Ints = np.flatnonzero(connected[:-1] & connected[1:])
@@ -194,18 +212,20 @@ def rate_branches(time_s: Array, X_NG: Array, connected: Bools) -> dict[str, Arr
         return {"": short}
     R, dt = X_NG[:, :3, :3], np.diff(time_s)[index]
     turn = log_so3(np.swapaxes(R[index], 1, 2) @ R[index + 1])
-    if np.median(np.linalg.norm(turn, axis=1)) < AMBIGUOUS_TURN_RAD:
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    count = n_rotations(float(np.median(angle)), float(np.median(dt)), max_rate_rad_s)
+    if count < 2:
         return {"": short}
     centre = 0.5 * (time_s[index] + time_s[index + 1])
-    angle = np.linalg.norm(turn, axis=1, keepdims=True)
     # the direction that most of the rotations share up to sign, and those against it by a revolution more
-    unit = turn / angle
-    axis, both = np.linalg.eigh(unit.T @ unit)[1][:, -1], {}
+    unit = turn / np.maximum(angle, 1e-9)
+    axis, found = np.linalg.eigh(unit.T @ unit)[1][:, -1], {}
     for sign in (1.0, -1.0):
-        against = turn @ (sign * axis) < 0.0
-        rate = np.where(against[:, None], turn * (1.0 - 2.0 * np.pi / angle), turn) / dt[:, None]
-        both[float(np.median(np.linalg.norm(rate, axis=1)))] = interpolated_rates(time_s, centre, rate)
-    return {"": both[min(both)], OPPOSITE_DIRECTION: both[max(both)]}
+        against = (turn @ (sign * axis) < 0.0)[:, None]
+        for more in range((len(REVOLUTIONS) + 1) // 2):
+            rate = (turn + np.where(against, -1.0 - more, more) * 2.0 * np.pi * unit) / dt[:, None]
+            found[float(np.median(np.linalg.norm(rate, axis=1)))] = interpolated_rates(time_s, centre, rate)
+    return {suffix: found[length] for suffix, length in zip(ROTATIONS[:count], sorted(found), strict=False)}
 
 
 def jumping_frames(time_s: Array, R_NG: Array, connected: Bools) -> Bools:

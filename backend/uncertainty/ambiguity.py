@@ -1,28 +1,29 @@
-"""Two motions that fit equally well: the target may rotate in either direction between frames.
+"""Several motions that fit equally well: the images do not tell how far the target rotates between frames.
 
-The shorter rotations are reported, as with any sampled signal; rates, inertia and axes then rest on this
-assumption and not on the data, so they are reported as not determined.
+A rotation by 240 degrees leads to the same attitude as one by 120 degrees in the opposite direction, and one
+by 400 degrees to that of 40. Euler's equation tells them apart if the axis of rotation moves in the body;
+otherwise all fit. The most probable motion is reported, the others beside it with their odds; rates, inertia
+and axes rest on the choice and not on the data, so they are reported as not determined.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend.initialization.multistart import HypothesisFit
-from polhode.backend.initialization.rates import OPPOSITE_DIRECTION
+from polhode.backend.initialization.multistart import HypothesisFit, best_of_rotations
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.geometry.lie import Array
-from polhode.records.estimate import MotionEstimate
+from polhode.records.estimate import MotionEstimate, RotationHypothesis
 
 AS_GOOD = 0.02
 """Relative difference of the misfit that is not significant: the wrong direction of a tumbling motion costs
 several times the misfit, and small differences may come from the noise model."""
+LOG_ODDS_OF_AS_GOOD = 3.0
+"""Log odds of that difference."""
 TOO_FAR_DEG, FAR_DEG = 225.0, 150.0
 """Rotations beyond the first may be off by a revolution: no direction is accepted. From the second on a
 direction is accepted only if the disturbances remain about as small as stated."""
-AMBIGUOUS = (
-    "not determined: another motion, with the opposite direction of rotation between frames, fits as well"
-)
+AMBIGUOUS = "not determined: another motion, with another rotation between frames, fits as well"
 OF_STATE = np.r_[np.zeros(6, dtype=np.bool_), np.ones(6, dtype=np.bool_)]
 """Attitude and rate."""
 OF_JOINT = np.r_[OF_STATE, np.ones(5, dtype=np.bool_), np.zeros(3, dtype=np.bool_)]
@@ -30,44 +31,87 @@ OF_JOINT = np.r_[OF_STATE, np.ones(5, dtype=np.bool_), np.zeros(3, dtype=np.bool
 
 
 @dataclass(frozen=True)
-class HypothesisChoice:
-    """The chosen hypothesis, and median rotations [deg] of it and of one that fits equally well, if any."""
+class OpenRotation:
+    """A rotation between frames that the data leave open."""
 
-    name: str
-    turns_deg: tuple[float, float] | None
+    name: str | None
+    """Of the hypothesis that was fitted; None: the chosen motion, a revolution off, without nutation"""
+    turn_deg: float
+    """Median rotation between frames"""
+    odds: float
 
 
-def choose_hypothesis(trials: dict[str, HypothesisFit], dt_s: Array) -> HypothesisChoice:
-    """The best hypothesis; of two directions that fit equally well, the shorter rotations. dt_s (F - 1,)."""
-    bests = []
-    for other in (False, True):
-        names = [name for name in trials if name.endswith(OPPOSITE_DIRECTION) == other]
-        bests += [min(names, key=lambda name: trials[name].cost)] if names else []
-    # the normalization depends on the rate: it must not decide between two directions
-    bests.sort(key=lambda name: trials[name].misfit)
-    if len(bests) < 2 or trials[bests[1]].misfit > (1.0 + AS_GOOD) * trials[bests[0]].misfit:
-        return HypothesisChoice(bests[0], None)
-    turns = {name: _turn_deg(trials[name], dt_s) for name in bests}
-    short, far = sorted(bests, key=lambda name: turns[name])
-    return HypothesisChoice(short, (turns[short], turns[far]))
+def choose_hypothesis(trials: dict[str, HypothesisFit], dt_s: Array) -> tuple[OpenRotation, ...]:
+    """The rotations whose best hypotheses fit equally well, the most probable first. dt_s (F - 1,).
+
+    Of a rate nothing is known beforehand but that slow ones are as frequent as fast ones in each octave.
+    """
+    # the normalization depends on the rate: it must not decide between two rotations
+    names = best_of_rotations(trials)
+    least = min(trials[name].misfit for name in names)
+    worse = {name: (trials[name].misfit - least) / max(AS_GOOD * least, 1e-300) for name in names}
+    turns = {name: _turn_deg(trials[name], dt_s) for name in names if worse[name] <= 1.0}
+    weight = {name: np.exp(-LOG_ODDS_OF_AS_GOOD * worse[name]) / max(turns[name], 1e-3) for name in turns}
+    return _by_odds([OpenRotation(name, turns[name], weight[name]) for name in turns])
+
+
+def _by_odds(rotations: list[OpenRotation]) -> tuple[OpenRotation, ...]:
+    """The most probable first, their odds adding up to one."""
+    total = sum(each.odds for each in rotations)
+    ordered = sorted(rotations, key=lambda each: -each.odds)
+    return tuple(replace(each, odds=float(each.odds / total)) for each in ordered)
 
 
 def _turn_deg(trial: HypothesisFit, dt_s: Array) -> float:
     return float(np.rad2deg(np.median(np.linalg.norm(trial.iterate.w_G[:-1], axis=1) * dt_s)))
 
 
-def ambiguous_turns_deg(
-    choice: HypothesisChoice, trial: HypothesisFit, dt_s: Array, much_disturbed: bool
-) -> tuple[float, float] | None:
-    """Median rotations [deg] of the motion and of the one that fits equally well; None if there is none."""
-    turn = _turn_deg(trial, dt_s)
-    if choice.turns_deg is None and (turn > TOO_FAR_DEG or (much_disturbed and turn > FAR_DEG)):
-        return turn, abs(360.0 - turn)
-    return choice.turns_deg
+def open_rotations(
+    chosen: tuple[OpenRotation, ...], trials: dict[str, HypothesisFit], dt_s: Array, much_disturbed: bool
+) -> tuple[OpenRotation, ...]:
+    """The chosen rotations, or two where a far one was chosen alone, which may be a revolution off."""
+    first = chosen[0]
+    if len(chosen) > 1 or not (first.turn_deg > TOO_FAR_DEG or (much_disturbed and first.turn_deg > FAR_DEG)):
+        return chosen
+    other = min((name for name in best_of_rotations(trials) if name != first.name), default=None,
+                key=lambda name: trials[name].misfit)  # fmt: skip
+    turn_deg = abs(360.0 - first.turn_deg) if other is None else _turn_deg(trials[other], dt_s)
+    odds = first.turn_deg / max(first.turn_deg + turn_deg, 1e-3)
+    return replace(first, odds=max(odds, 0.5)), OpenRotation(other, turn_deg, min(1.0 - odds, 0.5))
 
 
-def with_ambiguous_rotation(estimate: MotionEstimate, turns_deg: tuple[float, float]) -> MotionEstimate:
-    """The estimate with all that depends on the direction of rotation undetermined, and a warning."""
+def revolution_off(estimate: MotionEstimate, dt_s: float, rotation: OpenRotation) -> RotationHypothesis:
+    """The end of the motion with a revolution less between frames, of a body without nutation."""
+    own = end_of(estimate, rotation)
+    turn_rad = float(np.linalg.norm(own.w_G)) * dt_s
+    w_G = own.w_G * (1.0 - 2.0 * np.pi / max(turn_rad, 1e-6))
+    return replace(own, w_G=w_G, J_G=np.eye(3))
+
+
+def end_of(estimate: MotionEstimate, rotation: OpenRotation) -> RotationHypothesis:
+    """The last state of an estimate as one of several hypotheses."""
+    mass, noise = estimate.mass, estimate.noise
+    assert estimate.covariance_last_body is not None
+    return RotationHypothesis(
+        odds=rotation.odds,
+        turn_deg=rotation.turn_deg,
+        r_N=estimate.r_N[-1],
+        v_N=estimate.v_N[-1],
+        R_NG=estimate.R_NP[-1] @ mass.R_GP.T,
+        w_G=mass.R_GP @ estimate.w_P[-1],
+        J_G=mass.J_G,
+        R_GP=mass.R_GP,
+        com_G=mass.com_G,
+        covariance=estimate.covariance_last_body,
+        accel_psd=noise.accel_psd,
+        torque_psd=noise.torque_psd,
+    )
+
+
+def with_ambiguous_rotation(
+    estimate: MotionEstimate, hypotheses: tuple[RotationHypothesis, ...]
+) -> MotionEstimate:
+    """The estimate with all that depends on the choice of the rotation undetermined."""
     known, mass = estimate.mass.identifiable, estimate.mass
     detail = {
         name: AMBIGUOUS if name.startswith(("k", "axes")) and not text.startswith("not") else text
@@ -89,14 +133,10 @@ def with_ambiguous_rotation(estimate: MotionEstimate, turns_deg: tuple[float, fl
         cov_R_GP=with_infinite(mass.cov_R_GP, np.ones(3, dtype=np.bool_)),
         identifiable=known,
     )
-    warning = (
-        f"the direction of rotation is ambiguous: {turns_deg[0]:.0f} degrees between frames, as reported, or "
-        f"{turns_deg[1]:.0f} in the opposite direction; a higher frame rate would resolve it"
-    )
     return replace(
         estimate,
         covariance=np.stack([with_infinite(state, OF_STATE) for state in estimate.covariance]),
         covariance_last_joint=with_infinite(estimate.covariance_last_joint, OF_JOINT),
         mass=mass,
-        warnings=(*estimate.warnings, warning),
+        hypotheses=hypotheses,
     )

@@ -1,5 +1,6 @@
 """Settings of the back end."""
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -86,6 +87,10 @@ class Backend(Section):
     Increases the sigma of all states and constants."""
     wrench_bias: float = Field(0.02, ge=1e-9, le=1e3)
     """Standard deviation of a constant bias of known forces and torques, relative to the largest of each."""
+    max_rpm: float | None = Field(None, ge=1e-6, le=1e6)
+    """Fastest rotation that the target may have [RPM]: all rotations between pairs up to it are compared, and
+    none beyond it. Without it less than half a revolution between pairs is assumed, unless a longer rotation
+    fits as well."""
     unknown_wrench: Literal["none", "found", "everywhere"] = "found"
     """Unknown disturbances: none; in the steps between frames that contradict free motion; in every step."""
     unknown_wrench_s: tuple[tuple[Seconds, Seconds], ...] = Field((), max_length=10_000)
@@ -109,6 +114,11 @@ class Backend(Section):
     """Time limit of the solution [s]; likewise."""
     bounds: Bounds = Bounds()
     window: Window = Window()
+
+    @property
+    def max_rate_rad_s(self) -> float | None:
+        """``max_rpm`` [rad/s]."""
+        return None if self.max_rpm is None else self.max_rpm * math.pi / 30.0
 
     @property
     def for_motion(self) -> "Backend":

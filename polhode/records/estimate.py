@@ -179,6 +179,35 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
+class RotationHypothesis:
+    """The end of one of several motions that the data leave open."""
+
+    odds: float
+    r_N: Array
+    """(3,) centre of mass [m]"""
+    v_N: Array
+    """(3,) [m/s]"""
+    R_NG: Array
+    """(3, 3)"""
+    w_G: Array
+    """(3,) [rad/s]"""
+    J_G: Array
+    """(3, 3) about the centre of mass, middle moment 1"""
+    R_GP: Array
+    """(3, 3)"""
+    com_G: Array
+    """(3,) [m]"""
+    covariance: Array
+    """(20, 20) as ``MotionEstimate.covariance_last_body``, had it been this motion"""
+    accel_psd: float
+    """[(m/s^2)^2/Hz]"""
+    torque_psd: float
+    """[(rad/s^2)^2/Hz], torque over the middle moment"""
+    turn_deg: float = 0.0
+    """Median rotation between frames [deg]"""
+
+
+@dataclass(frozen=True)
 class MotionEstimate:
     """The result of the back end, one state per frame; r, v are absolute, the attitude is R_NP Exp(theta)."""
 
@@ -220,6 +249,8 @@ class MotionEstimate:
     the first frame shows them: it is the covariance of the motion since then. None: unknown"""
     disturbances: Disturbances | None = None
     """By unknown forces and torques; None: not sought, or none found"""
+    hypotheses: tuple[RotationHypothesis, ...] = ()
+    """Motions with other rotations between frames that fit as well, this one first; empty: there are none"""
 
 
 @dataclass(frozen=True)
