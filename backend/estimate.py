@@ -280,7 +280,7 @@ def _estimate(
     estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px, config.focal_error))
     stronger = disturbance_ratio(whole.data, config.accel_psd, config.torque_psd)
     much_disturbed = stronger >= SUSPICIOUS_RATIO
-    rotations = open_rotations(found.choice, trials, data.dt_s, much_disturbed)
+    rotations = open_rotations(found.choice, trials, data.dt_s, much_disturbed, config.max_rpm is not None)
     if len(rotations) > 1:
         step_s = float(np.median(data.dt_s))
         hypotheses = [end_of(estimate, rotations[0])]

@@ -23,6 +23,8 @@ LOG_ODDS_OF_AS_GOOD = 3.0
 TOO_FAR_DEG, FAR_DEG = 225.0, 150.0
 """Rotations beyond the first may be off by a revolution: no direction is accepted. From the second on a
 direction is accepted only if the disturbances remain about as small as stated."""
+ODDS_OF_OTHER = 0.25
+"""Of the other rotation in these cases."""
 AMBIGUOUS = "not determined: another motion, with another rotation between frames, fits as well"
 OF_STATE = np.r_[np.zeros(6, dtype=np.bool_), np.ones(6, dtype=np.bool_)]
 """Attitude and rate."""
@@ -67,17 +69,24 @@ def _turn_deg(trial: HypothesisFit, dt_s: Array) -> float:
 
 
 def open_rotations(
-    chosen: tuple[OpenRotation, ...], trials: dict[str, HypothesisFit], dt_s: Array, much_disturbed: bool
+    chosen: tuple[OpenRotation, ...],
+    trials: dict[str, HypothesisFit],
+    dt_s: Array,
+    much_disturbed: bool,
+    is_limited: bool = False,
 ) -> tuple[OpenRotation, ...]:
-    """The chosen rotations, or two where a far one was chosen alone, which may be a revolution off."""
+    """The chosen rotations, or two where a far one was chosen alone, which may be a revolution off.
+
+    is_limited: a limit is stated, and other rotations than those that were tried are beyond it.
+    """
     first = chosen[0]
-    if len(chosen) > 1 or not (first.turn_deg > TOO_FAR_DEG or (much_disturbed and first.turn_deg > FAR_DEG)):
+    is_far = first.turn_deg > TOO_FAR_DEG or (much_disturbed and first.turn_deg > FAR_DEG)
+    others = {name: trials[name].misfit for name in best_of_rotations(trials) if name != first.name}
+    if len(chosen) > 1 or not is_far or (is_limited and not others):
         return chosen
-    other = min((name for name in best_of_rotations(trials) if name != first.name), default=None,
-                key=lambda name: trials[name].misfit)  # fmt: skip
+    other = min(others, key=lambda name: others[name]) if others else None
     turn_deg = abs(360.0 - first.turn_deg) if other is None else _turn_deg(trials[other], dt_s)
-    odds = first.turn_deg / max(first.turn_deg + turn_deg, 1e-3)
-    return replace(first, odds=max(odds, 0.5)), OpenRotation(other, turn_deg, min(1.0 - odds, 0.5))
+    return replace(first, odds=1.0 - ODDS_OF_OTHER), OpenRotation(other, turn_deg, ODDS_OF_OTHER)
 
 
 def revolution_off(estimate: MotionEstimate, dt_s: float, rotation: OpenRotation) -> RotationHypothesis:

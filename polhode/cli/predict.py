@@ -11,7 +11,7 @@ class PredictCommand(Command):
     """Predict the target's motion: its last state propagated as a free rigid body, with standard deviations.
 
     Prints a few rows of position, velocity, attitude and rate; -o writes all rows, with the columns of
-    trajectory.csv.
+    trajectory.csv. Where the images leave more than one rotation, FILE_2 and so on hold the other hypotheses.
     """
 
     run: Annotated[Path, Positional("RUN")]
@@ -31,6 +31,7 @@ class PredictCommand(Command):
     def execute(self) -> Answer:
         """Predict, write and print."""
         from polhode.planning.predict import (
+            files_of_hypotheses,
             format_prediction,
             predict_run,
             prediction_file,
@@ -38,9 +39,11 @@ class PredictCommand(Command):
         )
         from polhode.runtime.console import choose_progress
 
-        place = None if self.output is None else prediction_file(self.output, self.run)
-        prediction = predict_run(self.run, self.horizon_s, self.step_s, progress=choose_progress())
-        table = format_prediction(prediction, place is not None, self.marks)
+        files = [] if self.output is None else files_of_hypotheses(self.output, self.run)
+        places = [prediction_file(file, self.run) for file in files]
+        progress = choose_progress()
+        prediction = predict_run(self.run, self.horizon_s, self.step_s, progress=progress)
+        table = format_prediction(prediction, bool(places), self.marks)
         figures = {
             "rows": len(prediction.time_s),
             "last": {
@@ -49,7 +52,20 @@ class PredictCommand(Command):
             },
             "undetermined": prediction.undetermined,
         }
-        if self.output is None or place is None:
+        for number, place in enumerate(places, 1):
+            if number > 1:
+                prediction = predict_run(
+                    self.run, self.horizon_s, self.step_s, progress=progress, hypothesis=number
+                )
+            write_prediction(prediction, place, self.marks)
+        if not places:
             return Answer(table, figures=figures)
-        write_prediction(prediction, place, self.marks)
-        return Answer(f"Prediction: {self.output}", table, paths=(self.output,), figures=figures)
+        others = f"Other hypotheses: {', '.join(map(str, files[1:]))}" if len(files) > 1 else ""
+        return Answer(
+            f"Prediction: {self.output}",
+            "
+
+".join(filter(None, [table, others])),
+            paths=tuple(files),
+            figures=figures,
+        )

@@ -18,12 +18,13 @@ from polhode.planning.approach.corridor import (
 )
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
-from polhode.planning.predict import last_body, require_horizon, undetermined_names
+from polhode.planning.predict import final_estimates, require_horizon, undetermined_names
 from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 from polhode.records.mesh_metrics import distance_to_surface, encloses
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.archives import read_measurements
 from polhode.run_directory.point_cloud_file import read_landmarks
+from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_in_words import describe_intervals
 from polhode.run_directory.summary_schema import Intervals, Summary
 from polhode.runtime.errors import InputError
@@ -66,14 +67,7 @@ class Plan:
 
 def final_estimate(run: Path) -> tuple[FinalEstimate, Summary]:
     """The end of a run. Raises InputError when it has no estimate."""
-    last, summary = last_body(run)
-    assert summary.com_G is not None and summary.noise is not None
-    bounded = summary.intervals.com_G if summary.intervals is not None else None
-    com_range_G = None if bounded is None else (np.array(bounded[0]), np.array(bounded[1]))
-    noise = summary.noise
-    return FinalEstimate(
-        last, np.array(summary.com_G), noise.accel_psd, noise.torque_psd, com_range_G
-    ), summary
+    return final_estimates(run)[0], read_summary(run)
 
 
 def surface_of(run: Path) -> SurfaceModel:
@@ -96,6 +90,12 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     if hidden := undetermined_names(summary):
         names = ", ".join(hidden)
         notes.append(f"The run does not determine {names}: the sampled motions agree with the observed one.")
+    if len(summary.hypotheses) > 1:
+        turns = "; ".join(f"{each.reason} (odds {each.odds:.2f})" for each in summary.hypotheses)
+        notes.append(
+            f"The rotation is ambiguous ({turns}): the keep-out volume holds all of them; surface speed, "
+            "corridor and approach are those of the first."
+        )
     if ranges := describe_intervals(summary):
         notes.append(f"By the hull of the body: {'; '.join(ranges)}.")
     found, speed, surface, path, approach = None, None, None, None, None
@@ -106,7 +106,7 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         left_out["keepout"] = left_out["surface_speed"] = str(error)
     doubts = [] if docking is None else _check_docking(docking, surface, run)
     if surface is not None:
-        found, mesh = _keep_out(surface, estimate, options), surface.mesh
+        found, mesh = _keep_out(surface, final_estimates(run), options), surface.mesh
         rims = f"open boundaries span {found.body.open_share:.1%} of its area"
         notes.append(
             f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
@@ -150,9 +150,9 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
 
 def keep_out_of_run(run: Path, options: KeepOutOptions) -> KeepOut:
     """The keep-out volume alone. Raises InputError: no estimate, no mesh, or options that do not fit."""
-    estimate, _ = final_estimate(run)
-    _require_options(options, estimate)
-    return _keep_out(surface_of(run), estimate, options)
+    estimates = final_estimates(run)
+    _require_options(options, estimates[0])
+    return _keep_out(surface_of(run), estimates, options)
 
 
 def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
@@ -161,9 +161,13 @@ def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
     require_horizon(options.horizon_s, float(np.linalg.norm(estimate.last.w_G)))
 
 
-def _keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
+def _keep_out(
+    surface: SurfaceModel, estimates: tuple[FinalEstimate, ...], options: KeepOutOptions
+) -> KeepOut:
+    """The volume of the first estimate; swept by each of them, where there are several hypotheses."""
     try:
-        return keep_out(surface, estimate, options)
+        first, *others = (keep_out(surface, each, options) for each in estimates)
+        return first.united_with(others)
     except ValueError as error:
         raise InputError(f"--members {options.members}: {error}") from None
 

@@ -14,12 +14,19 @@ from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
 from polhode.config.loader import load_config
 from polhode.files.output.single_file import make_parent, output_file
 from polhode.geometry.lie import Array, Bools, Ints, continuous_wxyz, wxyz_from_matrix
-from polhode.planning.prediction import ROWS_AT_ONCE, FinalState, PredictedMotion, predict
+from polhode.planning.prediction import (
+    ROWS_AT_ONCE,
+    FinalEstimate,
+    FinalState,
+    PredictedMotion,
+    predict,
+)
 from polhode.records.estimate import Prediction
 from polhode.run_directory.archives import (
     STATE_ORDER,
     load_archive,
     read_covariance,
+    read_hypotheses,
     undetermined_as_inf,
     write_arrays,
 )
@@ -54,16 +61,21 @@ def predict_run(
     step_s: float | None = None,
     from_last: bool = False,
     progress: Progress | None = None,
+    hypothesis: int = 1,
 ) -> PredictedMotion:
     """Predict to ``horizon_s`` after the last pair, every ``step_s`` (the run's own interval unless given).
 
     The last row is at the horizon; ``from_last``: the first one is the last pair's. The covariance is as in
-    covariance.npz, ``inf`` on the diagonal where undetermined. Raises InputError when the run has no estimate
-    or the times are invalid.
+    covariance.npz, ``inf`` on the diagonal where undetermined. ``hypothesis``: which of the run's hypotheses
+    of the rotation, 1 that of trajectory.csv. Raises InputError when the run has no estimate, the times are
+    invalid, or there is no such hypothesis.
     """
-    last, summary = last_body(run_folder)
+    _, summary = last_body(run_folder)
+    ends = final_estimates(run_folder)
+    if not 1 <= hypothesis <= len(ends):
+        raise InputError(f"hypothesis {hypothesis}: {run_folder} has {len(ends)}; give 1 to {len(ends)}")
     time_s, timestamps_ns = prediction_instants(run_folder, horizon_s, step_s, from_last)
-    return _predict_motion(run_folder, last, summary, time_s, timestamps_ns, progress)
+    return _predict_motion(run_folder, ends[hypothesis - 1], summary, time_s, timestamps_ns, progress)
 
 
 def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
@@ -71,21 +83,21 @@ def predict_instants(run_folder: Path, time_s: Array) -> PredictedMotion:
     last, summary = last_body(run_folder)
     require_instants(time_s, last)
     stamps = read_trajectory(run_folder).timestamps_ns[-1] + np.round(time_s * 1e9).astype(np.int64)
-    return _predict_motion(run_folder, last, summary, time_s, stamps, None)
+    return _predict_motion(run_folder, final_estimates(run_folder)[0], summary, time_s, stamps, None)
 
 
 def _predict_motion(
     run_folder: Path,
-    last: FinalState,
+    estimate: FinalEstimate,
     summary: Summary,
     time_s: Array,
     timestamps_ns: Ints,
     progress: Progress | None,
 ) -> PredictedMotion:
-    assert summary.noise is not None and summary.identifiable_components is not None
+    assert summary.identifiable_components is not None
     shown = Silent() if progress is None or len(time_s) <= LONG_ROWS else progress
     with shown.stage("prediction", math.ceil(len(time_s) / ROWS_AT_ONCE)) as advance:
-        states = predict(last, time_s, summary.noise.accel_psd, summary.noise.torque_psd, advance)
+        states = predict(estimate.last, time_s, estimate.accel_psd, estimate.torque_psd, advance)
     joint, parts = read_covariance(run_folder).last_joint[:12, :12], summary.identifiable_components
     lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
     covariance, diagonal = states.covariance, np.arange(12)
@@ -97,8 +109,8 @@ def _predict_motion(
         **vars(states),
         timestamps_ns=timestamps_ns,
         undetermined=undetermined_names(summary),
-        R_GP=np.array(summary.R_GP),
-        com_G=np.array(summary.com_G),
+        R_GP=estimate.last.R_GP,
+        com_G=estimate.com_G,
         ranges=tuple(describe_intervals(summary)),
     )
 
@@ -196,6 +208,27 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
     return FinalState(r_N, v_N, R_NG, w_G, J, R_GP, by_parameters, covariance, *past), summary
 
 
+def final_estimates(run: Path) -> tuple[FinalEstimate, ...]:
+    """The end of a run, of each hypothesis of the rotation, that of trajectory.csv first.
+
+    Raises InputError when the run has no estimate.
+    """
+    last, summary = last_body(run)
+    assert summary.com_G is not None and summary.noise is not None
+    bounded = summary.intervals.com_G if summary.intervals is not None else None
+    com_range_G = None if bounded is None else (np.array(bounded[0]), np.array(bounded[1]))
+    noise, com_G = summary.noise, np.array(summary.com_G)
+    found = [FinalEstimate(last, com_G, noise.accel_psd, noise.torque_psd, com_range_G)]
+    form = FORMS[load_config(run / "config.yaml").backend.inertia]
+    for each in read_hypotheses(run)[1:]:
+        J, by_parameters = inertia_by_parameters(each.J_G, form)
+        end = FinalState(
+            each.r_N, each.v_N, each.R_NG, each.w_G, J, each.R_GP, by_parameters, each.covariance
+        )
+        found.append(FinalEstimate(end, each.com_G, each.accel_psd, each.torque_psd, com_range_G))
+    return tuple(found)
+
+
 def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, states: Prediction) -> Bools:
     """Components (T, 12) that depend on what the run does not determine.
 
@@ -214,6 +247,12 @@ def undetermined_components(last: Array, com_lost: Bools, axes_lost: Bools, stat
         across = np.linalg.norm(states.w_P[:, ~axes_lost], axis=1, keepdims=True) > 0.002 * rate
         lost[:, 9:12] |= across & ~axes_lost
     return np.asarray(lost)
+
+
+def files_of_hypotheses(path: Path, run_folder: Path) -> list[Path]:
+    """A file for each hypothesis of the run's rotation: PATH, PATH_2 and so on."""
+    count = max(len(read_hypotheses(run_folder)), 1)
+    return [path, *(path.with_stem(f"{path.stem}_{number}") for number in range(2, count + 1))]
 
 
 def prediction_file(path: Path, run_folder: Path) -> Path:

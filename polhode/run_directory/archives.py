@@ -16,7 +16,7 @@ from polhode.files.array_files import read_arrays
 from polhode.files.atomic import replaced
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.records.estimate import MotionEstimate, OnlineEstimate
+from polhode.records.estimate import MotionEstimate, OnlineEstimate, RotationHypothesis
 from polhode.records.tracks import RelativePoses, StereoTracks, Wrench
 from polhode.runtime.errors import InputError
 
@@ -165,6 +165,28 @@ def write_covariance(estimate: MotionEstimate, path: Path) -> None:
     if (marks := estimate.covariance_of_marks) is not None:
         arrays["covariance_of_marks"] = marks
     write_arrays(path, arrays)
+
+
+def write_hypotheses(hypotheses: Sequence[RotationHypothesis], path: Path) -> None:
+    """hypotheses.npz: the fields of each ``RotationHypothesis``, one after the other."""
+    names = [field.name for field in fields(RotationHypothesis)]
+    write_arrays(path, {name: np.stack([getattr(each, name) for each in hypotheses]) for name in names})
+
+
+def read_hypotheses(run: Path) -> tuple[RotationHypothesis, ...]:
+    """The motions with other rotations between frames, the run's own first; none: the run has no such file.
+
+    Raises InputError, one line.
+    """
+    if not (run / "hypotheses.npz").exists():
+        return ()
+    archive = load_archive(run, "hypotheses.npz")
+    count, n = len(archive.numbers("odds", None)), len(BODY_ORDER)
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("R_NG", "J_G", "R_GP"), (3, 3))
+    shapes |= {"covariance": (n, n), "odds": (), "accel_psd": (), "torque_psd": (), "turn_deg": ()}
+    names = [field.name for field in fields(RotationHypothesis)]
+    columns = {name: archive.numbers(name, count, *shapes.get(name, (3,))) for name in names}
+    return tuple(RotationHypothesis(**{name: columns[name][k] for name in names}) for k in range(count))
 
 
 def read_covariance(path: Path) -> Covariance:

@@ -187,6 +187,10 @@ CHECK_TABLE = {
         at_least=True),
     "outliers": CheckRow("observations rejected as outliers", "%", 40.0,
         "{value:.0f}% of the observations contradict the motion"),
+    "rotation": CheckRow("odds of other rotations between pairs", "%", 1.0,
+        "how far the target rotates between pairs is ambiguous: {turns} degrees fit the images alike (odds "
+        "{odds}); state the fastest rotation that it may have (backend.max_rpm), or record more pairs a "
+        "second, or pairs at differing intervals"),
     # stronger disturbances make an answer doubtful, because frames may contradict one another
     "disturbances": CheckRow("power of the disturbances over that stated", "", 30.0,
         "the disturbances appear {value:.0f} times as strong as stated (power): an unknown force or "

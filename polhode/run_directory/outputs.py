@@ -18,7 +18,12 @@ from polhode.mapping.mesh_files import write_glb, write_ply
 from polhode.records.estimate import Disturbances, MotionEstimate, OnlineEstimate
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import RelativePoses, StereoTracks
-from polhode.run_directory.archives import write_covariance, write_measurements, write_online
+from polhode.run_directory.archives import (
+    write_covariance,
+    write_hypotheses,
+    write_measurements,
+    write_online,
+)
 from polhode.run_directory.point_cloud_file import write_landmarks
 from polhode.run_directory.summary import build_summary, write_summary
 from polhode.run_directory.trajectory_file import trajectory_of, write_trajectory
@@ -43,7 +48,7 @@ def write_estimate(
     folder: Path, tracks: StereoTracks, estimate: MotionEstimate, relative: RelativePoses | None = None
 ) -> None:
     """trajectory.csv, covariance.npz and landmarks.ply; measurements.npz again, now with the residuals;
-    pushes.csv where unknown forces or torques were estimated.
+    pushes.csv where unknown forces or torques were estimated, hypotheses.npz where the rotation is ambiguous.
 
     Also a preliminary summary.json, so that a run that fails later has all the numbers known by then.
     """
@@ -51,7 +56,10 @@ def write_estimate(
     write_covariance(estimate, folder / "covariance.npz")
     write_landmarks(estimate.landmarks, folder / "landmarks.ply")
     write_measurements(tracks, folder / "measurements.npz", relative, estimate)
-    (folder / "pushes.csv").unlink(missing_ok=True)
+    for name in ("pushes.csv", "hypotheses.npz"):
+        (folder / name).unlink(missing_ok=True)
+    if estimate.hypotheses:
+        write_hypotheses(estimate.hypotheses, folder / "hypotheses.npz")
     if estimate.disturbances is not None:
         write_disturbances(estimate.disturbances, folder / "pushes.csv")
     write_summary(build_summary(tracks, estimate, None, {}), folder / "summary.json")

@@ -16,7 +16,7 @@ from polhode.files.atomic import write_text
 from polhode.files.json_files import read_json
 from polhode.files.output.exchange import entries
 from polhode.files.output.run_files import is_run_file, is_stage_file
-from polhode.records.estimate import MotionEstimate
+from polhode.records.estimate import MotionEstimate, RotationHypothesis
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.archives import undetermined_as_inf
@@ -32,7 +32,7 @@ from polhode.run_directory.summary_schema import (
     content_digest,
     json_text,
 )
-from polhode.run_directory.verdict import decide_verdict, estimate_checks
+from polhode.run_directory.verdict import decide_verdict, estimate_checks, rotation_check
 from polhode.runtime.errors import InputError
 
 NOT_OURS = "not a summary that polhode wrote"
@@ -58,7 +58,8 @@ def build_summary(
     ``total`` is their sum unless it is given. Whoever has intervals adds them.
     """
     if estimate is not None:
-        checks = [*checks, *estimate_checks(tracks, estimate, surface)]
+        # where it does not hold, it is the first that a user should know
+        checks = [rotation_check(estimate), *checks, *estimate_checks(tracks, estimate, surface)]
     verdict = decide_verdict(failure, estimate, checks)
     own, reported = estimate.warnings if estimate is not None else (), list(verdict.reasons)
     if estimate is not None:
@@ -171,6 +172,16 @@ def _require_sound(file: Path, summary: Summary) -> None:
         raise InputError(f"{file}: {wrong[0]}; {NOT_OURS}")
 
 
+def _hypothesis(found: RotationHypothesis, number: int) -> dict[str, Any]:
+    """A hypothesis as the summary has it."""
+    w_N = found.R_NG @ found.w_G
+    rate = float(np.linalg.norm(w_N))
+    turn = f"rotation by {found.turn_deg:.0f} degrees between pairs"
+    reason = f"{turn}, the most probable one that fits" if number == 0 else f"{turn}: fits as well"
+    direction = (w_N / rate if rate > 0.0 else np.array([0.0, 0.0, 1.0])).tolist()
+    return {"rate_rpm": rate * 30.0 / np.pi, "direction": direction, "odds": found.odds, "reason": reason}
+
+
 def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
     """The parts of the summary that take an estimate."""
     mass, known, solver = estimate.mass, estimate.mass.identifiable, estimate.solver
@@ -197,6 +208,7 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
         "cov_R_GP": nullable(mass.cov_R_GP),
         "solver": vars(solver) | {"converged": bool(solver.converged), "ipopt": ipopt},
         "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
+        "hypotheses": [_hypothesis(each, number) for number, each in enumerate(estimate.hypotheses)],
         "unknown_pushes": [
             {
                 "start_s": (impulse.start_ns - first_ns) * 1e-9,

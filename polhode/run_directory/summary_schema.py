@@ -400,6 +400,18 @@ class Recording(StrictModel):
     """The first, the middle and the last that the run uses."""
 
 
+class Hypothesis(StrictModel):
+    """A rotation between pairs that the images leave open."""
+
+    rate_rpm: Finite
+    """At the last pair."""
+    direction: Vector
+    """Unit vector of the angular velocity along N at the last pair."""
+    odds: Finite = Field(ge=0, le=1)
+    """Of all hypotheses they add up to one."""
+    reason: str
+
+
 class Summary(StrictModel):
     """The results of a run. Parts that a failed run did not reach are null."""
 
@@ -431,6 +443,8 @@ class Summary(StrictModel):
     noise: Noise | None
     unknown_pushes: tuple[UnknownPush, ...] = ()
     """Of unknown forces and torques, in time."""
+    hypotheses: tuple[Hypothesis, ...] = Field((), max_length=4)
+    """Where the images leave more than one rotation, that of trajectory.csv first; else empty."""
     checks: tuple[Check, ...] = ()
     """Of the data and of the answer; each that does not hold is a reason for "degraded"."""
     verdict: Verdict | None = None

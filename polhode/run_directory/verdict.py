@@ -48,6 +48,15 @@ def _expected_and_found(check: Check) -> CheckVerdict:
     )
 
 
+def rotation_check(estimate: MotionEstimate) -> Check:
+    """Whether the images leave more than one rotation between pairs."""
+    found = estimate.hypotheses
+    turns = " or ".join(f"{each.turn_deg:.0f}" for each in found)
+    odds = " : ".join(f"{100.0 * each.odds:.0f}" for each in found)
+    other = 100.0 * sum(each.odds for each in found[1:])
+    return make_check("rotation", other, turns=turns, odds=odds)
+
+
 def estimate_checks(
     tracks: StereoTracks | None, estimate: MotionEstimate, surface: SurfaceModel | None
 ) -> list[Check]:

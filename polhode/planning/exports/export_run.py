@@ -73,6 +73,11 @@ def export_run(run: Path, options: ExportOptions, progress: Progress | None = No
         if job.summary.status == "failed":
             reason = failure_of(job.summary)
             job.leave_out(f"this run failed ({reason}): what it had found by then is exported")
+        if count := len(job.summary.hypotheses):
+            job.leave_out(
+                f"the rotation is ambiguous: the file holds the most probable of {count} hypotheses; "
+                "polhode predict writes each"
+            )
         files = _CONTENT[options.to](job)
         for reason in job.left_out:
             _log.warning("%s", reason)

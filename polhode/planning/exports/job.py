@@ -125,9 +125,14 @@ class ExportJob:
         """Of every file: its origin and its frame."""
         status = self.summary.status
         note = "" if status == "ok" else f" (status {status}: see summary.json)"
+        found = self.summary.hypotheses
+        which = (
+            [f"hypothesis 1 of {len(found)} (odds {found[0].odds:.2f}): {found[0].reason}"] if found else []
+        )
         return [
             f"polhode export of the run {printable(self.folder.resolve().name)}{note}",
             f"frame: {self.frame}",
+            *which,
         ]
 
     def motion(self, step_s: float | None) -> PredictedMotion:

@@ -8,7 +8,7 @@ their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei
 chooses the c of the smallest volume; the other half, independent of that choice, gives the margin.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -186,9 +186,32 @@ class KeepOut:
     swept: SweptKeepOut
     instant: InstantKeepOut
 
+    def united_with(self, others: list["KeepOut"]) -> "KeepOut":
+        """The same, swept over the motions of all of them; at an instant it stays that of this motion."""
+        if not others:
+            return self
+        levels = [self.swept.level, *(each.swept.level for each in others)]
+        return replace(self, swept=replace(self.swept, level=union_of(levels)))
+
     def __repr__(self) -> str:
         horizon_s = self.instant.motion.time_s[-1]
         return f"KeepOut({self.swept.volume_m3:.4g} m^3 swept over {horizon_s:g} s)"
+
+
+def union_of(levels: list[ScalarGrid]) -> ScalarGrid:
+    """The level of the union of volumes, on a grid that contains all of them, with their coarsest step."""
+    step = max(each.step_m for each in levels)
+    low = np.min([each.origin for each in levels], axis=0)
+    high = np.max([each.origin + each.step_m * (np.array(each.values.shape) - 1) for each in levels], axis=0)
+    shape = tuple(np.ceil((high - low) / step).astype(int) + 1)
+    value = np.full(shape, 8.0 * step, dtype=np.float32)
+    corners = ScalarGrid(low, step, value).corners()
+    for each in levels:
+        q = (corners - each.origin) / each.step_m
+        inside = ((q >= 0.0) & (q <= np.array(each.values.shape) - 1.0)).all(axis=1).reshape(shape)
+        found = each.at(corners).reshape(shape)
+        value = np.where(inside, np.minimum(value, found), value)
+    return ScalarGrid(low, step, np.asarray(value, dtype=np.float32))
 
 
 def _points(p_N: Array) -> Array:
