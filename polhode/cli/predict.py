@@ -63,9 +63,7 @@ class PredictCommand(Command):
         others = f"Other hypotheses: {', '.join(map(str, files[1:]))}" if len(files) > 1 else ""
         return Answer(
             f"Prediction: {self.output}",
-            "
-
-".join(filter(None, [table, others])),
+            "\n\n".join(filter(None, [table, others])),
             paths=tuple(files),
             figures=figures,
         )

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 from polhode.backend.initialization.multistart import HypothesisFit
-from polhode.backend.initialization.rates import OPPOSITE_DIRECTION, _carry, rate_branches, shoot
+from polhode.backend.initialization.rates import (
+    OPPOSITE_DIRECTION,
+    ROTATIONS,
+    _carry,
+    rate_branches,
+    shoot,
+)
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.uncertainty.ambiguity import HypothesisChoice, ambiguous_turns_deg, choose_hypothesis
+from polhode.backend.uncertainty.ambiguity import choose_hypothesis, open_rotations
 from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.geometry.rigid_body import propagate
 
@@ -56,22 +62,39 @@ def _trial(turn_deg: float, misfit: float, cost: float) -> HypothesisFit:
     return HypothesisFit(Iterate(zero, R_NG, zero, w_G, zero[0], np.zeros(5), np.eye(3), zero), cost, misfit)
 
 
-def test_a_direction_is_chosen_by_the_misfit_and_the_shorter_one_when_both_fit() -> None:
+def test_rotations_that_fit_alike_are_open_and_the_shorter_one_comes_first() -> None:
     dt_s, other = np.diff(TIME_S), "sphere" + OPPOSITE_DIRECTION
     alike = {"sphere": _trial(150.0, 1000.0, 50.0), other: _trial(210.0, 999.0, 10.0)}
-    choice = choose_hypothesis(alike, dt_s)
-    assert choice.name == "sphere" and choice.turns_deg == pytest.approx((150.0, 210.0))
+    first, second = choose_hypothesis(alike, dt_s)
+    assert (first.name, second.name) == ("sphere", other)
+    assert (first.turn_deg, second.turn_deg) == pytest.approx((150.0, 210.0))
+    assert first.odds > second.odds > 0.3 and first.odds + second.odds == pytest.approx(1.0)
     hypotheses = {"sphere": _trial(150.0, 3000.0, 1.0), other: _trial(210.0, 1000.0, 10.0)}
-    assert choose_hypothesis(hypotheses, dt_s) == HypothesisChoice(other, None)
-    assert choose_hypothesis({"sphere": _trial(30.0, 5.0, 5.0)}, dt_s).turns_deg is None
-    # rotations beyond what two directions explain are open
-    far, near, small = (_trial(turn, 100.0, 1.0) for turn in (466.0, 180.0, 60.0))
-    chosen = HypothesisChoice("sphere", None)
-    assert ambiguous_turns_deg(chosen, far, dt_s, False) == pytest.approx((466.0, 106.0))
-    assert ambiguous_turns_deg(chosen, near, dt_s, False) is None
-    assert ambiguous_turns_deg(chosen, near, dt_s, True) == pytest.approx((180.0, 180.0))
-    assert ambiguous_turns_deg(chosen, small, dt_s, True) is None
-    assert ambiguous_turns_deg(choice, small, dt_s, False) == choice.turns_deg
+    (chosen,) = choose_hypothesis(hypotheses, dt_s)
+    assert chosen.name == other and chosen.odds == 1.0
+    # rotations beyond what two directions explain are open, unless a limit excludes those that were not tried
+    for turn_deg, disturbed, turns in (
+        (466.0, False, [466.0, 106.0]),
+        (180.0, False, [180.0]),
+        (180.0, True, [180.0, 180.0]),
+        (60.0, True, [60.0]),
+    ):
+        alone = {"sphere": _trial(turn_deg, 100.0, 1.0)}
+        chosen_alone = choose_hypothesis(alone, dt_s)
+        found = open_rotations(chosen_alone, alone, dt_s, disturbed)
+        assert [each.turn_deg for each in found] == pytest.approx(turns)
+        assert sum(each.odds for each in found) == pytest.approx(1.0)
+        assert open_rotations(chosen_alone, alone, dt_s, disturbed, is_limited=True) == chosen_alone
+
+
+def test_a_stated_limit_decides_which_rotations_are_tried() -> None:
+    z = np.array([0.0, 0.0, 1.0])
+    poses = make_pose(_motion(40.0, z)[0], np.zeros((30, 3)))
+    for limit_deg, turns in ((30.0, [40.0]), (330.0, [40.0, -320.0]), (750.0, [40.0, -320.0, 400.0, -680.0])):
+        branches = rate_branches(TIME_S, poses, EVERY, np.deg2rad(limit_deg) / 0.5)
+        assert list(branches) == list(ROTATIONS[: len(turns)])
+        found = [np.rad2deg(0.5 * np.median(each @ z)) for each in branches.values()]
+        assert found == pytest.approx(turns, abs=0.5)
 
 
 def test_a_shot_at_a_rate_beyond_the_series_leads_nowhere() -> None:
