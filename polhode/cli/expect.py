@@ -9,6 +9,9 @@ from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positive
 from polhode.runtime.errors import InputError
 
+NEEDED_DEG = 60.0
+"""Turn between two pairs up to which successive images match and the direction of rotation is plain."""
+
 
 class ExpectCommand(Command):
     """Estimate the accuracy for a target and a rig from a fit to simulated runs, with a band of 90 %.
@@ -50,7 +53,8 @@ class ExpectCommand(Command):
         if (turn_deg := observation.predictors["turn_deg"]) >= 180.0:
             raise InputError(
                 f"--interval {self.interval_s:g}: the target would turn by {turn_deg:.3g} deg between two "
-                "pairs, which images do not tell from a turn the other way; give a shorter one"
+                "pairs, which images do not tell from a turn the other way; give "
+                f"{self.interval_s * NEEDED_DEG / turn_deg:.2g} or less"
             )
         found = expected(rules, observation)
         beyond = outside(rules, observation)

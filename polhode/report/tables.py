@@ -258,6 +258,10 @@ def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
         TableRow("angular velocity, median", f"{rate_deg_s:.2f}", "deg/s"),
         TableRow("distance from the origin of N", f"{distance_m:.4f}", "m"),
     ]
+    if len(path.time_s) > 1:
+        turn_deg = rate_deg_s * float(np.median(np.diff(path.time_s)))
+        name = "rotation between pairs (less than 180 is assumed, unless backend.max_rpm says more)"
+        rows.append(TableRow(name, f"{turn_deg:.1f}", "deg"))
     for name, _, sigma, unit in _sigmas(path):
         worst = np.max(np.median(sigma, axis=0))
         found = (f"{worst:.2g}", unit) if np.isfinite(worst) else ("not determined",)
