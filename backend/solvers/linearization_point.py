@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.process_noise import whitening
 from polhode.backend.dynamics.propagation import series_steps
@@ -103,7 +104,12 @@ def _steps(data: MotionData, iterate: Iterate) -> Steps:
 
 
 def middle_and_radius(points: Array) -> tuple[Array, float]:
-    """Geometric median (3,) of points (n, 3), and their median distance from it."""
+    """Geometric median (3,) of points (n, 3), and their median distance from it.
+
+    Raises LinAlgError when no point is left: such a motion is no answer.
+    """
+    if len(points) == 0:
+        raise LinAlgError("no landmark is left")
     # robust and independent of the axes (Weiszfeld 1937)
     middle = points.mean(axis=0)
     for _ in range(10):

@@ -119,8 +119,10 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
             raise InputError("--quiet and --verbose contradict each other: give one of them")
         with warnings.catch_warnings():
             if not general.debug:
-                # Of libraries, to programmers: standard error holds one line.
+                # Of libraries, to programmers: standard error holds one line. What is an error stays one.
+                errors = [each for each in warnings.filters if each[0] == "error"]
                 warnings.simplefilter("ignore")
+                warnings.filters[:0] = errors  # type: ignore[index]
             answer = _dispatch(words)
     except KeyboardInterrupt as stop:
         number = received()

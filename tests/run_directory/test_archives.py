@@ -10,14 +10,17 @@ import pytest
 import trimesh
 
 from polhode.backend.problem.inertia import FORMS
+from polhode.backend.uncertainty.ambiguity import OpenRotation, end_of
 from polhode.geometry.lie import exp_so3
 from polhode.records.tracks import Wrench
 from polhode.run_directory.archives import (
     read_covariance,
+    read_hypotheses,
     read_measurements,
     read_relative_poses,
     read_residuals,
     write_covariance,
+    write_hypotheses,
     write_measurements,
 )
 from polhode.run_directory.point_cloud_file import read_landmarks, write_landmarks
@@ -94,6 +97,19 @@ def test_covariances_come_back_and_the_page_names_exactly_the_keys_of_the_file(
     np.testing.assert_array_equal(covariance[:, 7, 7], np.inf)
     np.testing.assert_array_equal(covariance[:, 7, :7], 0.0)
     np.testing.assert_array_equal(covariance[:, 6, 6], undetermined.estimate.covariance[:, 6, 6])
+
+
+def test_hypotheses_come_back_and_a_run_without_them_has_none(example: Any, tmp_path: Path) -> None:
+    assert read_hypotheses(tmp_path) == ()
+    estimate = replace(example.estimate, covariance_last_body=np.eye(20))
+    given = [
+        end_of(estimate, OpenRotation("sphere", turn, odds)) for turn, odds in ((110.0, 0.7), (250.0, 0.3))
+    ]
+    write_hypotheses(given, tmp_path / "hypotheses.npz")
+    for again, one in zip(read_hypotheses(tmp_path), given, strict=True):
+        _equal(again, one)
+    np.testing.assert_allclose(given[0].R_NG @ given[0].R_GP, estimate.R_NP[-1])
+    np.testing.assert_allclose(given[0].R_GP.T @ given[0].w_G, estimate.w_P[-1])
 
 
 def test_the_inertia_of_the_joint_covariance_is_what_the_page_describes() -> None:

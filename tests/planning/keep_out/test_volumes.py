@@ -137,3 +137,17 @@ def test_a_lone_sigma_is_held_by_its_neighbours() -> None:
     patch = V[:, 2] > 0.0
     wide = continuous_sigma(replace(surface, sigma_m=np.where(patch, 0.02, SIGMA_M)))
     assert wide[V[:, 2].argmax()] == 0.02
+
+
+def test_the_volume_of_several_hypotheses_holds_each() -> None:
+    found = [
+        keep_out(ball(), estimate((0.0, 0.0, 0.1), v_N, size=1e-4), quick(10.0, cells=32))
+        for v_N in ((0.03, 0.01, 0.0), (-0.02, 0.0, 0.04))
+    ]
+    both = found[0].united_with(found[1:])
+    for each in found:
+        inside = each.swept.level.corners()[each.swept.level.values.ravel() <= 0.0]
+        assert (both.swept.signed_distance(inside) <= 0.0).all()
+    volumes = [each.swept.volume_m3 for each in found]
+    assert max(volumes) < both.swept.volume_m3 < 1.4 * sum(volumes)
+    assert both.swept.mesh.is_watertight and found[0].united_with([]) is found[0]
