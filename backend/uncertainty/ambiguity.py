@@ -99,4 +99,5 @@ def with_ambiguous_rotation(estimate: MotionEstimate, turns_deg: tuple[float, fl
         covariance_last_joint=with_infinite(estimate.covariance_last_joint, OF_JOINT),
         mass=mass,
         warnings=(*estimate.warnings, warning),
+        rotation_is_ambiguous=True,
     )

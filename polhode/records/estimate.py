@@ -119,6 +119,10 @@ class MassProperties:
     inertia_scale_kg_m2: float | None = None
     """Middle moment, from known torques: times J_G it gives the inertia in kg m^2"""
     sigma_inertia_scale_kg_m2: float | None = None
+    cov_ln_scale: Array | None = None
+    """(20,) covariance of the logarithm of that scale with what ``covariance_last_body`` describes"""
+    J_by_xi: Array | None = None
+    """(5, 3, 3) derivative of J_G by the solver's parameters, the middle moment 1 to first order"""
 
     @property
     def sigma_moments(self) -> Array:
@@ -220,6 +224,8 @@ class MotionEstimate:
     the first frame shows them: it is the covariance of the motion since then. None: unknown"""
     disturbances: Disturbances | None = None
     """By unknown forces and torques; None: not sought, or none found"""
+    rotation_is_ambiguous: bool = False
+    """Whether a motion with the opposite direction of rotation fits as well"""
 
 
 @dataclass(frozen=True)
