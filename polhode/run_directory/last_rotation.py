@@ -33,7 +33,7 @@ def last_rotation(estimate: MotionEstimate) -> LastRotation | None:
     of_momentum, of_size = momentum_jacobian(R_NG, w_G, mass.J_G, mass.J_by_xi)
     of_spin, _ = momentum_jacobian(R_NG, w_G, np.eye(3), np.zeros((5, 3, 3)))
     size = float(np.linalg.norm(h_G))
-    beyond = _beyond_first_order(w_G, mass.J_G, mass.J_by_xi, covariance[XI, XI])
+    beyond = _beyond_first_order(mass.J_G, mass.J_by_xi, covariance[XI, XI])
     by_inertia = np.sqrt(of_size[XI] @ covariance[XI, XI] @ of_size[XI] + size**2 * beyond)
     sigma = float(np.sqrt(of_size @ covariance @ of_size + size**2 * beyond))
     absolute, sigma_absolute = _absolute(estimate, size, of_size, covariance)
@@ -81,12 +81,11 @@ def _direction(vector: Array, covariance: Array, known: bool) -> Direction:
     return Direction(found.unit, np.diag(np.full(3, np.inf)))
 
 
-def _beyond_first_order(w_G: Array, J_G: Array, J_by_xi: Array, cov_xi: Array) -> float:
+def _beyond_first_order(J_G: Array, J_by_xi: Array, cov_xi: Array) -> float:
     """What the first order neglects of the variance of the logarithm of the size.
 
-    Where two moments are nearly equal, their eigenvalues repel each other (``backend.uncertainty
-    .principal_axes``): the middle moment is taken exactly at pairs of opposite deviations whose second
-    moments are those of cov_xi (5, 5).
+    Where two moments are nearly equal their eigenvalues repel each other: the middle moment is taken exactly,
+    at pairs of opposite deviations whose second moments are those of cov_xi (5, 5).
     """
     values, vectors = np.linalg.eigh(cov_xi)
     root = np.sqrt(len(cov_xi) * np.maximum(values, 0.0)) * vectors

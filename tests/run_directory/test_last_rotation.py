@@ -15,15 +15,15 @@ from polhode.records.rotation import Direction, LastRotation
 from polhode.run_directory.last_rotation import last_rotation, momentum_jacobian
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 from tests.backend.motions import BOX, QUIET, estimated, half_turn
+from tests.backend.wrenches.test_known_wrench import MOMENTS, pushed
 
 TUMBLE, SPIN = (0.4, 0.5, 0.45), (0.0, 0.0, 0.8)
-KICK = (4.0, 5.0, (0.0, 0.0, 0.0), (2e-3, 0.0, -1e-3))
 
 
 @cache
 def solved(w_G: tuple[float, float, float], seed: int) -> tuple[SyntheticSequence, MotionEstimate]:
     scene = SyntheticScene(
-        frames=24, landmarks=150, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2, J_G=BOX, w_G=w_G,
+        frames=30, landmarks=250, detection=0.4, sigma_uv_px=0.3, sigma_d_px=0.2, J_G=BOX, w_G=w_G,
         accel_psd=1e-8, torque_psd=1e-8,
     )  # fmt: skip
     sequence = generate(scene, seed)
@@ -71,7 +71,7 @@ def test_derivatives_are_those_of_finite_differences() -> None:
 
 def test_errors_of_a_tumble_are_as_large_as_their_sigmas_say() -> None:
     of_momentum, of_size, of_spin, of_spin_P = [], [], [], []
-    for seed in range(6):
+    for seed in range(5):
         sequence, estimate = solved(TUMBLE, seed)
         found, truth, h_N = found_in(estimate), sequence.truth, true_momentum(sequence)
         of_momentum.append(across(found.momentum_N, h_N))
@@ -84,28 +84,21 @@ def test_errors_of_a_tumble_are_as_large_as_their_sigmas_say() -> None:
 
 
 def test_a_pure_spin_keeps_the_direction_of_its_momentum_though_not_its_size() -> None:
-    errors = []
-    for seed in range(3):
-        sequence, estimate = solved(SPIN, seed)
-        found = found_in(estimate)
-        assert not estimate.mass.identifiable.k2 and np.isinf(found.sigma_momentum_rad_s)
-        assert found.momentum_N.sigma_rad < np.deg2rad(2.0) and np.isinf(found.spin_P.sigma_rad)
-        errors.append(across(found.momentum_N, true_momentum(sequence)))
-    assert np.abs(errors).max() < 3.5
+    sequence, estimate = solved(SPIN, 0)
+    found = found_in(estimate)
+    assert not estimate.mass.identifiable.k2 and np.isinf(found.sigma_momentum_rad_s)
+    assert found.momentum_N.sigma_rad < np.deg2rad(0.5) and np.isinf(found.spin_P.sigma_rad)
+    assert np.abs(across(found.momentum_N, true_momentum(sequence))).max() < 3.5
 
 
 def test_known_torques_give_the_momentum_in_absolute_units_with_its_sigma() -> None:
-    moments, errors = np.array([3.0e-2, 2.4e-2, 1.8e-2]), []
-    for seed in range(3):
-        scene = SyntheticScene(
-            frames=30, landmarks=200, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(moments),
-            accel_psd=1e-8, torque_psd=1e-8, pushes=(KICK,),
-        )  # fmt: skip
-        sequence = generate(scene, seed)
-        found = found_in(estimated(sequence, QUIET))
+    errors = []
+    for seed in range(2):
+        sequence, estimate = pushed(seed)
+        found = found_in(estimate)
         assert found.momentum_N_m_s is not None and found.sigma_momentum_N_m_s is not None
         assert found.sigma_momentum_N_m_s < 0.03 * found.momentum_N_m_s
-        true = moments[1] * np.linalg.norm(true_momentum(sequence))
+        true = MOMENTS[1] * np.linalg.norm(true_momentum(sequence))
         errors.append((found.momentum_N_m_s - true) / found.sigma_momentum_N_m_s)
     assert np.abs(errors).max() < 3.5
 
