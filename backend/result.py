@@ -196,6 +196,7 @@ def _mass(
         com_G=fit.iterate.com_G,
         cov_com_G=with_infinite(cov_com, com_lost),
         identifiable=known,
+        J_by_xi=derivative.of_inertia,
     )
 
 

@@ -40,6 +40,7 @@ from polhode.planning.plan import final_estimate, keep_out_of_run, surface_of
 from polhode.planning.predict import predict_instants, require_instants
 from polhode.planning.prediction import PredictedMotion, nominal_motion
 from polhode.records.estimate import Landmarks
+from polhode.records.rotation import Direction, LastRotation
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.report import evaluate_and_report
@@ -58,7 +59,13 @@ from polhode.run_directory.run_folder import REPORT, require_run_folder
 from polhode.run_directory.stored_run import StoredMotion, read_motion
 from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_in_words import describe_summary
-from polhode.run_directory.summary_schema import Identifiable, Intervals, Summary, Verdict
+from polhode.run_directory.summary_schema import (
+    DirectionSummary,
+    Identifiable,
+    Intervals,
+    Summary,
+    Verdict,
+)
 from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.runtime.argument_names import errors_name_arguments
 from polhode.runtime.console import choose_progress
@@ -289,6 +296,23 @@ class Run:
         )
 
     @cached_property
+    def rotation(self) -> LastRotation:
+        """Angular momentum and spin axis at the last pair. Raises InputError: the run has none."""
+        words = f"{self.folder}: no estimate, or an earlier version's without angular momentum; run it again"
+        found = vars(_there(self.summary.rotation, words))
+        directions = {
+            name: Direction(np.array(part.unit), _variances(part.cov))
+            for name, part in found.items()
+            if isinstance(part, DirectionSummary)
+        }
+        sigmas = {
+            name: np.inf
+            for name in ("sigma_momentum_rad_s", "sigma_momentum_N_m_s")
+            if found[name] is None and found[name.removeprefix("sigma_")] is not None
+        }
+        return LastRotation(**found | directions | sigmas)
+
+    @cached_property
     def X_NG(self) -> Array:
         """(F, 4, 4) pose of the body frame G in N. Raises InputError without an estimate."""
         return self._motion.X_NG
@@ -361,31 +385,43 @@ class Run:
         return keep_out_of_run(self.folder, options)
 
     @errors_name_arguments({"--horizon": "time_s"})
-    def points_velocity(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
-        """Velocity along N [m/s] of points fixed to the target.
+    def points_N(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
+        """Places in N [m] of points fixed to the target.
 
         p_G (n, 3) [m], or one point (3,), in the body frame G, as the vertices of ``mesh`` and the landmarks.
-        time_s: seconds after the last pair. One time gives (n, 3), increasing times (T,) give (T, n, 3).
-        Raises InputError: no estimate, points or times that do not fit.
+        time_s: seconds after the last pair. One time gives (n, 3), increasing times (T,) give (T, n, 3); one
+        point leaves out n. Raises InputError: no estimate, points or times that do not fit.
         """
         points, time = _points(p_G), _seconds(time_s)
-        estimate, _ = final_estimate(self.folder)
-        require_instants(np.atleast_1d(time), estimate.last)
-        motion = nominal_motion(estimate, np.atleast_1d(time))
-        return velocity(motion, 0 if time.ndim == 0 else slice(None), points)
+        return _of_times(predict_instants(self.folder, np.atleast_1d(time)).points_N(points), time)
 
     @errors_name_arguments({"--horizon": "time_s"})
-    def points_velocity_covariance(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
-        """Covariance along N [(m/s)^2] of ``points_velocity``: (n, 3, 3), or (T, n, 3, 3) for times (T,).
+    def points_covariance(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
+        """Covariance along N [m^2] of ``points_N``, whose shapes it has, and 3 x 3.
 
         To first order, from ``predict(time_s).covariance_of_marks``; so it includes the uncertain centre of
         mass, and is finite where the motion does not determine it. The points are exact in G: the standard
-        deviation of a landmark or vertex is not part of it. Raises InputError as ``points_velocity``.
+        deviation of a landmark or vertex is not part of it. Raises InputError as ``points_N``.
         """
         points, time = _points(p_G), _seconds(time_s)
-        motion = predict_instants(self.folder, np.atleast_1d(time))
-        found = velocity_covariance(motion, (points - self.mass.com_G) @ self.mass.R_GP)
-        return found[0] if time.ndim == 0 else found
+        return _of_times(predict_instants(self.folder, np.atleast_1d(time)).points_covariance(points), time)
+
+    @errors_name_arguments({"--horizon": "time_s"})
+    def points_velocity(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
+        """Velocity along N [m/s] of points fixed to the target: as ``points_N``, in all but the unit."""
+        points, time = _points(p_G), _seconds(time_s)
+        estimate, _ = final_estimate(self.folder)
+        require_instants(np.atleast_1d(time), estimate.last)
+        found = velocity(nominal_motion(estimate, np.atleast_1d(time)), slice(None), np.atleast_2d(points))
+        return _of_times(found[:, 0] if points.ndim == 1 else found, time)
+
+    @errors_name_arguments({"--horizon": "time_s"})
+    def points_velocity_covariance(self, p_G: ArrayLike, time_s: ArrayLike = 0.0) -> Array:
+        """Covariance along N [(m/s)^2] of ``points_velocity``: as ``points_covariance``."""
+        points, time = _points(p_G), _seconds(time_s)
+        motion, lever_G = predict_instants(self.folder, np.atleast_1d(time)), points - self.mass.com_G
+        found = velocity_covariance(motion, np.atleast_2d(lever_G) @ self.mass.R_GP)
+        return _of_times(found[:, 0] if points.ndim == 1 else found, time)
 
     @errors_name_arguments({"--sun": "sun_N"}, words={"inertial": "N"})
     def observability(
@@ -456,10 +492,15 @@ def _seconds(time_s: ArrayLike) -> Array:
     return _numbers(time_s, "times: give numbers, in seconds after the last pair")
 
 
+def _of_times(found: Array, time: Array) -> Array:
+    """What was found at the times (T, ...), or at the only one, where no row was asked for."""
+    return found[0] if time.ndim == 0 else found
+
+
 def _points(p_G: ArrayLike) -> Array:
-    """(n, 3) from these or one point (3,). Raises InputError."""
-    points = np.atleast_2d(_numbers(p_G, "points: give numbers, coordinates (n, 3) in G [m]"))
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+    """These (n, 3) or one point (3,). Raises InputError."""
+    points = _numbers(p_G, "points: give numbers, coordinates (n, 3) in G [m]")
+    if points.ndim not in (1, 2) or points.shape[-1] != 3 or not np.isfinite(points).all():
         raise InputError(f"points of shape {np.shape(p_G)}: give finite coordinates (n, 3) in G [m]")
     return points
 

@@ -247,9 +247,14 @@ def state_covariances(iterate: Iterate, m: Marginals, jacobians: Array) -> tuple
 
 def with_constants(T: Array, joint: Array) -> Array:
     """(20, 20) of a state T (12, s + 8), then xi and com_G; joint (s + 8, s + 8) of its unknowns."""
-    s = len(joint) - N_CONSTANTS
-    T = np.vstack([T, np.eye(s + N_CONSTANTS)[np.r_[s + 3 : s + 8, s : s + 3]]])
+    T = and_constants(T)
     return np.asarray(T @ joint @ T.T)
+
+
+def and_constants(T: Array) -> Array:
+    """Derivative (20, s + 8) of a state T (12, s + 8), then of xi and com_G."""
+    s = T.shape[1] - N_CONSTANTS
+    return np.vstack([T, np.eye(s + N_CONSTANTS)[np.r_[s + 3 : s + 8, s : s + 3]]])
 
 
 def pose_covariances(iterate: Iterate, m: Marginals) -> Array:

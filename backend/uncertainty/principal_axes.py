@@ -34,6 +34,8 @@ class AxesDerivative:
     """(3, 5) d theta / d xi, theta in R_GP Exp(theta)"""
     ln_middle: Array = field(default_factory=lambda: np.zeros(5))
     """(5,) d ln(middle moment of J of unit second moments) / d xi"""
+    of_inertia: Array | None = None
+    """(5, 3, 3) d J_G / d xi, the middle moment held at 1"""
 
 
 def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
@@ -47,6 +49,7 @@ def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
         R = R @ nearest_half_turn(R, iterate.R_torque @ exp_so3(iterate.wrench[TURN]))
     values = np.diag(R.T @ J @ R)
     ratios, axes, ln_middle = np.zeros((2, 5)), np.zeros((3, 5)), np.zeros(5)
+    of_inertia = np.zeros((5, 3, 3))
     step = 1e-6
     for n in range(5):
         change = np.zeros(5)
@@ -57,10 +60,11 @@ def axes_derivative(form: InertiaForm, iterate: Iterate) -> AxesDerivative:
         relative = np.diag(M) / values
         ratios[:, n] = relative[0] - relative[1], relative[1] - relative[2]
         ln_middle[n] = relative[1]
+        of_inertia[n] = R @ (M - relative[1] * np.diag(values)) @ R.T / values[1]
         axes[0, n] = M[2, 1] / _gap(values[1] - values[2], values[1])
         axes[1, n] = -M[0, 2] / _gap(values[0] - values[2], values[1])
         axes[2, n] = M[1, 0] / _gap(values[0] - values[1], values[1])
-    return AxesDerivative(moments, R, ratios, axes, ln_middle)
+    return AxesDerivative(moments, R, ratios, axes, ln_middle, of_inertia)
 
 
 def _gap(difference: float, middle: float) -> float:

@@ -14,10 +14,10 @@ import numpy as np
 
 from polhode.backend.initialization.multistart import HypothesisFit, solve_briefly
 from polhode.backend.problem.inertia import principal_axes
-from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.iterate import N_CONSTANTS, Iterate
 from polhode.backend.problem.wrench import LN_MASS, LN_SCALE, N_WRENCH
 from polhode.backend.solvers.linearization_point import MotionFit
-from polhode.backend.uncertainty.covariance import Marginals
+from polhode.backend.uncertainty.covariance import Marginals, and_constants, body_jacobians
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.geometry.lie import Array, exp_so3
 from polhode.records.estimate import MassProperties
@@ -120,6 +120,9 @@ def with_absolute_scale(
         return mass
     at, along = np.r_[n + 3 : n + 8, n + 8 + LN_SCALE], np.append(derivative.ln_middle, 1.0)
     middle, of_mass = float(np.linalg.eigvalsh(fit.iterate.J_G(fit.data.form))[1]), n + 8 + LN_MASS
+    last = and_constants(body_jacobians(fit.iterate, fit.data.camera_N)[-1])
+    of_last = np.r_[n - fit.iterate.n_state : n + N_CONSTANTS]
+    cov_ln_scale = last @ m.dense[np.ix_(of_last, at)] @ along
     # standard deviations without the prior, from the data alone
     alone = 1.0 / np.sqrt(np.maximum(np.diag(m.wrench_information), 1e-12))
     found, detail = dict[str, Any](), dict(mass.identifiable.detail)
@@ -139,4 +142,5 @@ def with_absolute_scale(
             )
         else:
             detail[name] = f"not determined: no known {what} acts"
-    return replace(mass, identifiable=replace(mass.identifiable, detail=detail), **found)
+    known_parts = replace(mass.identifiable, detail=detail)
+    return replace(mass, identifiable=known_parts, cov_ln_scale=cov_ln_scale, **found)

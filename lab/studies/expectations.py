@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from scipy import stats
 from tyro.conf import Positional, arg
 
 from lab.command import ROOT, command
@@ -24,13 +25,15 @@ from lab.studies.random_scenes import FAMILIES
 from lab.studies.study_results import Results, read_results
 from polhode.config import Config
 from polhode.config.scene_settings import Sensor, TargetBody
-from polhode.studies.rules import WORDS, Observation, Rules, expected, outside, read_rules
+from polhode.studies.rules import CONFIDENCE, WORDS, Observation, Rules, expected, outside, read_rules
 from polhode.studies.table import TABLE
 
 RESULTS = ROOT / "docs" / "study_results"
 USUAL_CONTRAST, USUAL_NOISE_DN = TargetBody().contrast, Sensor().read_noise_dn
 SAME_NOISE = 2.0
 """A noise within this factor of the usual one counts as usual"""
+CONTRADICTS = 0.025
+"""Probability of a coverage as low as the one found, below which it contradicts that of the band"""
 FITTED = "random_scenes"
 """The study that the rules are fitted to"""
 
@@ -54,13 +57,44 @@ def other_studies() -> list[Path]:
     return sorted(file.parent for file in RESULTS.glob(f"*/{TABLE}") if file.parent.name != FITTED)
 
 
-def compared(rules: Rules, results: Results) -> list[Row]:
-    """A row for each error that some run within the ranges has; none where no run is within them."""
-    seen = {
+def with_more_pairs(rules: Rules) -> Rules:
+    """The rules with how many runs of other studies, which have more pairs than those of the fit, are inside.
+
+    The rules as they are where there are none, or where they contradict a band.
+    """
+    fitted, studies = rules.ranges["pairs"][1], [read_results(folder) for folder in other_studies()]
+    seen = [{k: each for k, each in within(rules, of).items() if each.pairs > fitted} for of in studies]
+    found = []
+    for number, rule in enumerate(rules.rules):
+        inside = []
+        for results, own in zip(studies, seen, strict=True):
+            errors = rule.factor * results.column(rule.quantity)
+            bands = {k: expected(open_ended(rules), own[k])[number] for k in own if errors[k] > 0.0}
+            inside += [band.low <= errors[k] <= band.high for k, band in bands.items()]
+        if not inside or stats.binom.cdf(sum(inside), len(inside), CONFIDENCE) < CONTRADICTS:
+            return rules
+        found.append(rule.model_copy(update={"more": len(inside), "more_inside": int(sum(inside))}))
+    most = max(each.pairs for own in seen for each in own.values())
+    return rules.model_copy(update={"rules": tuple(found), "checked_pairs": most})
+
+
+def open_ended(rules: Rules) -> Rules:
+    """The rules, extrapolated to any number of pairs."""
+    return rules.model_copy(update={"checked_pairs": 10**6})
+
+
+def within(rules: Rules, results: Results) -> dict[int, Observation]:
+    """Of the runs with an answer, those within the ranges but for their pairs, if these are more."""
+    return {
         k: about
         for k, each in enumerate(results.configurations)
         if results.done[k] and (about := observation_of_scene(each)) is not None and not outside(rules, about)
     }
+
+
+def compared(rules: Rules, results: Results) -> list[Row]:
+    """A row for each error that some run within the ranges has; none where no run is within them."""
+    seen = {k: each for k, each in within(rules, results).items() if each.pairs <= rules.most_pairs}
     rows: list[Row] = []
     for number, rule in enumerate(rules.rules):
         errors = rule.factor * results.column(rule.quantity)

@@ -25,6 +25,7 @@ from tyro.conf import Positional, arg
 from lab.command import Workers, command, polhode
 from lab.presentation import print_table
 from lab.studies.confidence import share_text, significant
+from lab.studies.expectations import CONTRADICTS, with_more_pairs
 from lab.studies.random_scenes import RandomScene, random_scenes, settings_of
 from polhode.files.atomic import write_text
 from polhode.geometry.lie import Array
@@ -45,8 +46,6 @@ from polhode.studies.table import read_table
 SCENES = 96
 MIN_RUNS = 60
 """With answers; a fit of six coefficients to fewer is no rule"""
-CONTRADICTS = 0.025
-"""Probability of a coverage as low as the one found, below which it contradicts that of the band"""
 FACTORS = ("constant", *PREDICTORS[:-1], "Sun, a factor per 90 degrees")
 """Of the formula: a constant, exponents, and what the angle of the Sun does"""
 AXIS = "random scene"
@@ -98,7 +97,7 @@ def report(scenes: Sequence[RandomScene], table: pa.Table, output: Path | None, 
     if with_answer - held_back <= 3 * (1 + len(PREDICTORS)):
         print("too few for any fit: nothing is printed or written")
         return
-    found = rules_of(scenes, table, held_back)
+    found = with_more_pairs(rules_of(scenes, table, held_back))
     columns = "error | runs | variance explained | band: median times or over | inside, left out"
     print_table(f"{columns} | inside, held back", [_row(rule) for rule in found.rules], right_from=1)
     print("\nConstant and exponents:\n")

@@ -41,7 +41,14 @@ class ExpectCommand(Command):
 
     def execute(self) -> Answer:
         """Print the errors with their bands."""
-        from polhode.studies.rules import WORDS, Observation, expected, outside, read_rules
+        from polhode.studies.rules import (
+            WORDS,
+            Observation,
+            about_more_pairs,
+            expected,
+            outside,
+            read_rules,
+        )
 
         rules = read_rules(self.rules)
         observation = Observation(
@@ -57,7 +64,7 @@ class ExpectCommand(Command):
                 f"{self.interval_s * NEEDED_DEG / turn_deg:.2g} or less"
             )
         found = expected(rules, observation)
-        beyond = outside(rules, observation)
+        beyond, more_pairs = outside(rules, observation), about_more_pairs(rules, observation)
         lines = [f"Beyond the runs of the fit, where this is no estimate: {each}." for each in beyond]
         lines += [
             f"{'error':24s} {'median':>10s} {'90 % band':>24s} {'':5s} {'left out':>10s} {'held back':>10s}"
@@ -73,17 +80,23 @@ class ExpectCommand(Command):
             f"An estimate from {rules.runs} simulated runs, {rules.failed} of which had no answer. "
             "Inside their band were so many of the runs left out of a fit, and of those that no fit has seen."
         ]
+        lines += [more_pairs] if more_pairs else []
         return Answer(
             "\n".join(lines),
-            status="degraded" if beyond else "ok",
+            status="degraded" if beyond or self.pairs > rules.most_pairs else "ok",
             figures={
                 "expected": [vars(each) for each in found],
                 "predictors": observation.predictors,
                 "outside": beyond,
                 "runs": rules.runs,
+                "most_pairs": rules.most_pairs,
                 "failed": rules.failed,
                 "held_out": {rule.quantity: [rule.inside, rule.held_out] for rule in rules.rules},
                 "new": {rule.quantity: [rule.new_inside, rule.new] for rule in rules.rules},
+                "more_pairs": {rule.quantity: [rule.more_inside, rule.more] for rule in rules.rules},
             },
-            warnings=tuple(f"beyond the runs of the fit: {each}" for each in beyond),
+            warnings=(
+                *(f"beyond the runs of the fit: {each}" for each in beyond),
+                *([more_pairs] if more_pairs else []),
+            ),
         )

@@ -93,6 +93,20 @@ class PredictedMotion(Prediction):
         places = transform_points(self.X_NG, np.atleast_2d(points))
         return places[:, 0] if points.ndim == 1 else places
 
+    def points_covariance(self, p_G: ArrayLike) -> Array:
+        """Covariance along N [m^2] of ``points_N``: (T, n, 3, 3) of p_G (n, 3), (T, 3, 3) of one (3,).
+
+        To first order, from ``covariance_of_marks``: the points are exact in G.
+        """
+        points = np.asarray(p_G, dtype=np.float64)
+        lever_P, R = (np.atleast_2d(points) - self.com_G) @ self.R_GP, self.R_NP[:, None]
+        by_turn = -R @ hat(lever_P)
+        jacobian = np.concatenate([np.broadcast_to(np.eye(3), by_turn.shape), by_turn], axis=-1)
+        pose = np.r_[0:3, 6:9]
+        covariance = self.covariance_of_marks[:, None, pose[:, None], pose]
+        found = np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))
+        return found[:, 0] if points.ndim == 1 else found
+
 
 def predict(
     last: FinalState,

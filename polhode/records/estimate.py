@@ -119,6 +119,10 @@ class MassProperties:
     inertia_scale_kg_m2: float | None = None
     """Middle moment, from known torques: times J_G it gives the inertia in kg m^2"""
     sigma_inertia_scale_kg_m2: float | None = None
+    cov_ln_scale: Array | None = None
+    """(20,) covariance of the logarithm of that scale with what ``covariance_last_body`` describes"""
+    J_by_xi: Array | None = None
+    """(5, 3, 3) derivative of J_G by the solver's parameters, the middle moment 1 to first order"""
 
     @property
     def sigma_moments(self) -> Array:

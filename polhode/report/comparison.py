@@ -48,7 +48,7 @@ def side_by_side(contents: Sequence[StoredRun]) -> list[tuple[str, list[str]]]:
         # The frame G is each run's own: places in it cannot be compared.
         inertia = tables.inertia_rows(content.summary)
         comparable = [row for row in inertia if not row.name.startswith("centre of mass, ")]
-        rows = [*comparable, *tables.motion_rows(content.motion), *tables.run_rows(content)]
+        rows = [*comparable, *tables.motion_rows(content), *tables.run_rows(content)]
         cells = {row.name: f"{row.value} {row.unit}".strip() for row in rows}
         cells |= {f"time, {stage}": f"{s:.1f} s" for stage, s, _ in tables.timing_rows(content.summary)}
         metrics = tables.metric_rows(content.metrics)

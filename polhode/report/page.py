@@ -144,7 +144,7 @@ def render(content: StoredRun) -> str:
         "summary": summary,
         "checks": tables.check_rows(summary),
         "assumed_rows": tables.assumed_rows(summary.assumed),
-        "motion_rows": tables.motion_rows(motion),
+        "motion_rows": tables.motion_rows(content),
         "sigma_rows": tables.sigma_rows(content),
         "run_rows": tables.run_rows(content),
         "metric_rows": tables.metric_rows(metrics),

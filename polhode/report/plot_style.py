@@ -246,14 +246,17 @@ def color_bar(title: str) -> Layout:
 
 
 def scene_layout(
-    unit: str, names: Sequence[str] = ("x", "y", "z"), eye: ArrayLike = (1.4, -1.5, 0.9)
+    data: Sequence[Trace],
+    unit: str,
+    names: Sequence[str] = ("x", "y", "z"),
+    eye: ArrayLike = (1.4, -1.5, 0.9),
 ) -> Layout:
-    """A drawing that is one scene: three axes of equal scale, seen from the direction ``eye`` (3,)."""
+    """A drawing of traces in one scene: three axes of equal scale, seen from the direction ``eye`` (3,)."""
     look = {"backgroundcolor": SCENE_GROUND, "gridcolor": SCENE_GRID, "showbackground": True}
     look |= {"zeroline": False, "tickfont": {"size": 10.5}, "nticks": 6}
-    # In sizes of the scene: far enough that no axis leaves the drawing.
+    # Far enough that no axis leaves the drawing, however long the body is.
     toward = np.asarray(eye, dtype=np.float64)
-    toward = 2.3 * toward / np.linalg.norm(toward)
+    toward = 2.66 * _scene_radius(data) * toward / np.linalg.norm(toward)
     scene: Layout = {
         f"{k}axis": {"title": {"text": f"{name} [{unit}]"}, **look}
         for k, name in zip("xyz", names, strict=True)
@@ -264,6 +267,18 @@ def scene_layout(
     scene["camera"] = {"eye": eye_of_scene, "center": {"x": 0.0, "y": 0.0, "z": -0.07}}
     margin, legend = {"l": 0, "r": 0, "t": 8, "b": 0}, {"orientation": "h", "x": 0, "y": 0}
     return layout(scene=scene, margin=margin, legend=legend)
+
+
+def _scene_radius(data: Sequence[Trace]) -> float:
+    """Half the diagonal of the box around the traces that are shown at first, as the scene measures it.
+
+    Plotly scales the box so that the product of its sides is 1.
+    """
+    shown = [[each[k] for k in "xyz"] for each in data if each.get("visible", True) is True]
+    points = np.concatenate([np.array(each, dtype=np.float64) for each in shown], axis=1)
+    sides = np.ptp(points, axis=1)
+    sides = np.maximum(sides, 1e-3 * max(float(sides.max()), 1e-300))
+    return float(0.5 * np.linalg.norm(sides / np.cbrt(np.prod(sides))))
 
 
 def axis_arrows(origin: Array, R: Array, length: float, names: Sequence[str]) -> list[Trace]:

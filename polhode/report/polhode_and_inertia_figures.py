@@ -79,7 +79,7 @@ def _polhode(motion: StoredMotion) -> Figure:
         "ellipsoids of constant energy (surface) and of constant angular momentum (wires), drawn for the "
         "mean of the run. The path lies where they intersect."
     )
-    layout = style.scene_layout("deg/s", names, look_at(path.w_P))
+    layout = style.scene_layout(data, "deg/s", names, look_at(path.w_P))
     return Figure("polhode", "Polhode", caption, data, layout, height_px=520, wide=False)
 
 

@@ -80,7 +80,7 @@ def _map(content: StoredRun, p_mm: Array, sigma_mm: Array) -> Figure:
         "the principal axes x (largest moment), y, z (smallest)."
     )
     data = [points, *_body_axes(content, p_mm)]
-    return Figure("sparse-map", "Sparse map", caption, data, _body_layout(content), height_px=560)
+    return Figure("sparse-map", "Sparse map", caption, data, _body_layout(content, data), height_px=560)
 
 
 def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
@@ -104,7 +104,7 @@ def _mesh(content: StoredRun, mesh: trimesh.Trimesh) -> Figure:
         "legend switches on from where the left camera looked at each frame: its direction, close to the "
         f"body, and its position. {shown}"
     )
-    return Figure("mesh", "Surface", caption, data, _body_layout(content), height_px=520, wide=False)
+    return Figure("mesh", "Surface", caption, data, _body_layout(content, data), height_px=520, wide=False)
 
 
 def round_to_binary(points: Array) -> Array:
@@ -162,8 +162,8 @@ def _cameras(content: StoredRun, p_mm: Array) -> list[Trace]:
     ]
 
 
-def _body_layout(content: StoredRun) -> Layout:
+def _body_layout(content: StoredRun, data: list[Trace]) -> Layout:
     """Seen from where the left camera stood at the first frame, so that a side that was seen is in front."""
     X_GR = cameras_in_target(content)
     away = X_GR[0, :3, 3] - content.motion.com_G if X_GR is not None and content.motion else np.zeros(3)
-    return style.scene_layout("mm", eye=away) if np.any(away) else style.scene_layout("mm")
+    return style.scene_layout(data, "mm", eye=away) if np.any(away) else style.scene_layout(data, "mm")

@@ -9,8 +9,8 @@ import numpy as np
 
 from polhode.geometry.lie import Array
 from polhode.records.metrics import ALIGNED, IN_INTERVAL, expected_range
-from polhode.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Summary
+from polhode.run_directory.stored_run import StoredRun
+from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, RotationSummary, Summary
 from polhode.run_directory.trajectory_file import Trajectory, standard_deviations
 
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
@@ -247,11 +247,11 @@ def run_rows(content: StoredRun) -> list[TableRow]:
     return rows
 
 
-def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
-    """The motion in a few numbers, with the median standard deviation over the run."""
-    if motion is None:
+def motion_rows(content: StoredRun) -> list[TableRow]:
+    """The motion in a few numbers, with the median standard deviation over the run, and the last rotation."""
+    if content.motion is None:
         return []
-    path = motion.trajectory
+    path = content.motion.trajectory
     rate_deg_s = np.rad2deg(np.median(np.linalg.norm(path.w_P, axis=1)))
     distance_m = np.median(np.linalg.norm(path.r_N, axis=1))
     rows = [
@@ -266,6 +266,29 @@ def motion_rows(motion: StoredMotion | None) -> list[TableRow]:
         worst = np.max(np.median(sigma, axis=0))
         found = (f"{worst:.2g}", unit) if np.isfinite(worst) else ("not determined",)
         rows.append(TableRow(f"σ {name}, worst axis", *found))
+    return [*rows, *rotation_rows(content.summary.rotation)]
+
+
+def rotation_rows(rotation: RotationSummary | None) -> list[TableRow]:
+    """Angular momentum and spin axis at the last pair; nothing in a run of an earlier version."""
+    if rotation is None:
+        return []
+    rows = []
+    for name, found in (
+        ("angular momentum, direction in N", rotation.momentum_N),
+        ("spin axis at the last pair, in N", rotation.spin_N),
+        ("spin axis at the last pair, in P", rotation.spin_P),
+    ):
+        spread = "not determined" if found.sigma_deg is None else f"± {found.sigma_deg:.2g} deg"
+        unit = ", ".join(f"{part:.4f}" for part in found.unit)
+        rows.append(TableRow(name, f"{unit}; {spread}", determined=found.sigma_deg is not None))
+    for name, value, sigma, unit in (
+        ("angular momentum over Jyy", rotation.momentum_rad_s, rotation.sigma_momentum_rad_s, "rad/s"),
+        ("angular momentum", rotation.momentum_N_m_s, rotation.sigma_momentum_N_m_s, "N m s"),
+    ):
+        if value is not None:
+            words = with_sigma(value, sigma) + ("; not determined" if sigma is None else "")
+            rows.append(TableRow(name, words, unit, determined=sigma is not None))
     return rows
 
 

@@ -100,6 +100,35 @@ class Inertia(StrictModel):
     """null: undetermined, or no torque is known."""
 
 
+class DirectionSummary(StrictModel):
+    """A direction, whose error is a small turn across it."""
+
+    unit: Vector
+    """Of unit length."""
+    cov: VarianceMatrix
+    """Of the unit vector [rad^2], 0 along it."""
+    sigma_deg: Variance
+    """Standard deviation along the worse of two axes across it; null: undetermined."""
+
+
+class RotationSummary(StrictModel):
+    """Angular momentum and spin axis at the last pair; null: undetermined."""
+
+    momentum_N: DirectionSummary
+    """Direction of the angular momentum about the centre of mass, in N."""
+    momentum_rad_s: Finite
+    """Its size over the middle moment [rad/s]."""
+    sigma_momentum_rad_s: Variance
+    momentum_N_m_s: Finite | None
+    """Its size from known torques [N m s]; null: none are known."""
+    sigma_momentum_N_m_s: Variance
+    """null: undetermined, or no torque is known."""
+    spin_N: DirectionSummary
+    """Direction of the angular velocity, in N."""
+    spin_P: DirectionSummary
+    """The same in the principal axes, whose half-turns are a choice of the run."""
+
+
 class Identifiable(StrictModel):
     """com and axes are true only when every component is determined."""
 
@@ -439,6 +468,8 @@ class Summary(StrictModel):
     R_GP: Matrix | None
     cov_R_GP: VarianceMatrix | None
     """Of theta in R_GP Exp(theta) [rad^2]."""
+    rotation: RotationSummary | None = None
+    """At the last pair; null: an earlier version wrote none."""
     solver: SolverSummary | None
     noise: Noise | None
     unknown_pushes: tuple[UnknownPush, ...] = ()

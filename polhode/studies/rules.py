@@ -8,7 +8,7 @@ which one more run lies with 90 %: Student's t, with what the coefficients are u
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -113,6 +113,10 @@ class Rule(Section):
     """Runs that were held back: this fit, and every choice about it, was made without them"""
     new_inside: int = 0
     """Those of them inside their band"""
+    more: int = 0
+    """Runs of other studies with more pairs than any run of the fit, but no more than ``checked_pairs``"""
+    more_inside: int = 0
+    """Those of them inside their band"""
 
 
 class Rules(Section):
@@ -127,6 +131,13 @@ class Rules(Section):
     ranges: dict[str, tuple[float, float]]
     """Of the predictors and ratios of the runs: beyond, a rule is no estimate"""
     rules: tuple[Rule, ...]
+    checked_pairs: int = 0
+    """Most pairs of runs of other studies whose errors do not contradict the bands; 0: not checked"""
+
+    @property
+    def most_pairs(self) -> int:
+        """Pairs up to which runs support the rules."""
+        return max(int(self.ranges["pairs"][1]), self.checked_pairs)
 
 
 @dataclass(frozen=True)
@@ -182,12 +193,17 @@ def _is_inside(rule: Rule, row: Array, logarithm: float) -> bool:
 
 
 def expected(rules: Rules, observation: Observation) -> list[Expected]:
-    """The errors that are to be expected, with their bands."""
-    found = []
+    """The errors that are to be expected, with their bands.
+
+    Pairs beyond those that runs support make no error larger: median and upper end stay, the lower end is
+    the rule's.
+    """
+    found, held = [], replace(observation, pairs=min(observation.pairs, rules.most_pairs))
     for rule in rules.rules:
-        middle, half = _predicted(rule, observation.row)
+        middle, half = _predicted(rule, held.row)
+        lowest = min(middle - half, np.subtract(*_predicted(rule, observation.row)))
         unit = observation.scale(rule.over) * rule.factor
-        low, value, high = (unit * math.exp(middle + way * half) for way in (-1.0, 0.0, 1.0))
+        low, value, high = (unit * math.exp(each) for each in (lowest, middle, middle + half))
         found.append(Expected(rule.quantity, rule.unit, value, low, high))
     return found
 
@@ -200,13 +216,31 @@ def checked(rule: Rule, observations: Sequence[Observation], errors: Array) -> R
 
 
 def outside(rules: Rules, observation: Observation) -> list[str]:
-    """Predictors and ratios that are beyond those of the runs, each in words."""
+    """Predictors and ratios that are beyond those of the runs, each in words; more pairs are not."""
     found = []
     for name, value in observation.described.items():
         low, high = rules.ranges.get(name, (-math.inf, math.inf))
+        high = math.inf if name == "pairs" else high
         if not low <= value <= high:
             found.append(f"{name} {value:.3g} is outside of {low:.3g} to {high:.3g}")
     return found
+
+
+def about_more_pairs(rules: Rules, observation: Observation) -> str:
+    """What supports an answer for more pairs than any run of the fit has, a sentence; empty: the fit does."""
+    fitted, most = int(rules.ranges["pairs"][1]), rules.most_pairs
+    if observation.pairs <= fitted:
+        return ""
+    if observation.pairs > most:
+        return (
+            f"No run had more than {most} pairs: median and upper end are those of {most}, which more do not "
+            "make worse; the lower end is extrapolated."
+        )
+    inside = ", ".join(f"{rule.more_inside} of {rule.more}" for rule in rules.rules)
+    return (
+        f"The fit had at most {fitted} pairs. Inside its bands were, of runs of other studies with up to "
+        f"{most}: {inside}."
+    )
 
 
 def read_rules(path: Path | None = None) -> Rules:

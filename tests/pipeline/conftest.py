@@ -32,6 +32,7 @@ from polhode.simulation import simulate
 from tests.conftest import MakeOnce
 from tests.front_end_results import SharedFrontEnd
 from tests.pipeline.stored_run import write_run
+from tests.planning.bodies import BASIS
 
 BOX_M = np.array([0.12, 0.20, 0.24])
 RIG = RectifiedRig(467.0, 319.5, 239.5, 0.09, 640, 480)
@@ -92,6 +93,7 @@ def make_example() -> Example:
         com_G=com_G,
         cov_com_G=np.eye(3) * 1e-7,
         identifiable=Identifiability(True, True, True, True, {"k1": "well determined"}, yes, yes, np.ones(8)),
+        J_by_xi=BASIS,
     )
     timestamps_ns = 1_000_000_000 + 500_000_000 * np.arange(N_FRAMES, dtype=np.int64)
     time_s = (timestamps_ns - timestamps_ns[0]) * 1e-9

@@ -5,6 +5,7 @@ import io
 import json
 import re
 from dataclasses import fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from polhode.report.page_size import (
     figures_within,
     with_fewer_points,
 )
-from polhode.report.plot_style import Figure, band, layout, line, packed, points3d
+from polhode.report.plot_style import Figure, band, layout, line, packed, points3d, scene_layout
 from polhode.report.template import css_text, deflated, figure_text, inflated
 from polhode.run_directory.film import StoredFilm, read_film
 from polhode.run_directory.stored_run import StoredPicture, StoredRun, read_stored_run
@@ -199,3 +200,19 @@ def test_texts_and_arrays_survive_the_page() -> None:
     assert re.sub(r"\\([0-9a-f]{6}) ?", lambda match: chr(int(match[1], 16)), escaped) == text
     np.testing.assert_array_equal(unpacked(packed([1.0, np.inf, 2.5])), [1.0, np.nan, 2.5])
     assert packed(np.zeros((2, 3)))["shape"] == "2, 3"
+
+
+def test_a_scene_is_seen_whole_however_long_it_is() -> None:
+    random = np.random.default_rng(3)
+    for lengths in ((1.0, 1.0, 1.0), (30.0, 1.0, 0.4), (5.0, 5.0, 0.0)):
+        corners = np.array(list(product((-0.5, 0.5), repeat=3))) * lengths
+        for eye in random.normal(size=(5, 3)):
+            hidden = points3d(100.0 * corners, "cameras", visible="legendonly")
+            camera = scene_layout([points3d(corners, "body"), hidden], "mm", eye=eye)["scene"]["camera"]
+            away = np.array(list(camera["eye"].values()))
+            np.testing.assert_allclose(np.cross(away, eye), 0.0, atol=1e-9)
+            # plotly makes the product of the sides 1, and shows 45 degrees
+            sides = np.maximum(lengths, 1e-3 * max(lengths))
+            ray = corners / np.cbrt(np.prod(sides)) - away
+            cosine = ray @ -away / np.linalg.norm(ray, axis=1) / np.linalg.norm(away)
+            assert np.rad2deg(np.arccos(cosine)).max() < 22.5

@@ -115,7 +115,8 @@
     pen.scale(pixel, pixel);
     const eye = [view.eye.x, view.eye.y, view.eye.z], toward = [center.x, center.y, center.z], up = view.up || { x: 0, y: 0, z: 1 };
     const away = unit(eye.map(function (value, n) { return value - toward[n]; })), right = unit(cross([up.x, up.y, up.z], away)), top = cross(away, right);
-    const focal = 0.5 * 0.93 * height / Math.tan(0.5 * FIELD_OF_VIEW_RAD);
+    /* With room for the numbers beside the box. */
+    const focal = 0.46 * Math.min(width, 0.93 * height) / Math.tan(0.5 * FIELD_OF_VIEW_RAD);
     const seen = function (x, y, z) {
       const p = [(x - shape.middle[0]) / shape.scale - eye[0], (y - shape.middle[1]) / shape.scale - eye[1], (z - shape.middle[2]) / shape.scale - eye[2]];
       const depth = Math.max(-dot(p, away), 1e-3);
@@ -164,7 +165,32 @@
     }
     figure.sketched = true;
   }
-  /* The edges of the box around everything, and at three of them the title of the axis; from so near that the box is cut, none. */
+  /* At most so many round numbers from low to high. */
+  function roundNumbers(low, high, most) {
+    const least = (high - low) / Math.min(5, most), power = Math.pow(10, Math.floor(Math.log10(least)));
+    const step = [1, 2, 5, 10].map(function (each) { return each * power; }).find(function (each) { return each >= least; });
+    const found = [];
+    for (let k = Math.ceil(low / step); k * step <= high; k++) found.push(k * step);
+    return found;
+  }
+  /* Of the four edges along an axis the outermost, rather below or on the left: its ends and the way out, in pixels. */
+  function outline(corner, n) {
+    const edges = [0, 1, 2, 3].map(function (k) {
+      const low = [k & 1, k >> 1], high = low.slice();
+      low.splice(n, 0, 0);
+      high.splice(n, 0, 1);
+      return [corner(...low), corner(...high)];
+    });
+    const middle = [0, 1].map(function (k) { return edges.reduce(function (sum, each) { return sum + 0.125 * (each[0][k] + each[1][k]); }, 0); });
+    const found = edges.map(function ([a, b]) {
+      const away = [0.5 * (a[0] + b[0]) - middle[0], 0.5 * (a[1] + b[1]) - middle[1]], size = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
+      let out = [(a[1] - b[1]) / size, (b[0] - a[0]) / size], reach = out[0] * away[0] + out[1] * away[1];
+      if (reach < 0) { out = [-out[0], -out[1]]; reach = -reach; }
+      return { a, b, out, reach: reach * (1 + 0.3 * (out[1] - 0.5 * out[0])) };
+    });
+    return found.reduce(function (best, each) { return each.reach > best.reach ? each : best; });
+  }
+  /* The edges of the box around everything, and at three of them numbers and title of the axis; from so near that the box is cut, none. */
   function box(pen, shape, found, seen, width) {
     const ends = [shape.low, shape.high], corner = function (a, b, c) { return seen(ends[a][0], ends[b][1], ends[c][2]); };
     const scene = found.layout.scene, height = found.layout.height;
@@ -182,12 +208,21 @@
       pen.stroke();
     }
     pen.fillStyle = found.layout.font.color;
-    pen.font = "12px sans-serif";
     pen.textAlign = "center";
+    pen.textBaseline = "middle";
     [scene.xaxis, scene.yaxis, scene.zaxis].forEach(function (axis, n) {
-      const a = corner(0, 0, 0), b = corner(n === 0 ? 1 : 0, n === 1 ? 1 : 0, n === 2 ? 1 : 0);
-      pen.fillText(axis.title.text.replace(/<[^>]*>/g, ""), 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]) + 14);
+      const { a, b, out } = outline(corner, n), at = function (share, off) { return [a[0] + share * (b[0] - a[0]) + off * out[0], a[1] + share * (b[1] - a[1]) + off * out[1]]; };
+      const length = Math.hypot(b[0] - a[0], b[1] - a[1]), low = shape.low[n], span = shape.high[n] - low;
+      pen.font = axis.tickfont.size + "px sans-serif";
+      if (length > 40) for (const value of roundNumbers(low, low + span, length / 45)) pen.fillText(String(Number(value.toPrecision(6))).replace("-", "\u2212"), ...at((value - low) / span, 15));
+      pen.font = "12px sans-serif";
+      pen.save();
+      pen.translate(...at(0.5, 36));
+      pen.rotate(length > 40 ? Math.atan((b[1] - a[1]) / (b[0] - a[0] || 1e-9)) : 0);
+      pen.fillText(axis.title.text.replace(/<[^>]*>/g, ""), 0, 0);
+      pen.restore();
     });
+    pen.textBaseline = "alphabetic";
     pen.textAlign = "left";
   }
   async function drawSketch(figure) {
@@ -203,7 +238,7 @@
     if (figure.text === null) figure.text = await inflated(figure.node);
     await loadLibrary();
     if (figure.drawn) return;
-    const found = content(figure), start = performance.now();
+    const found = figure.found = content(figure), start = performance.now();
     figure.drawn = true;
     figure.drawing.classList.remove("waiting");
     figure.drawing.textContent = "";
@@ -380,7 +415,9 @@
   }
   function turnBody(figure) {
     if (!line.eye) return;
-    const eye = line.eye[stop], up = line.up[stop], away = 1.6, vector = function (v, scale) { return { x: scale * v[0], y: scale * v[1], z: scale * v[2] }; };
+    /* As far as the first view, which shows the whole body. */
+    const first = figure.found.layout.scene.camera.eye, away = Math.hypot(first.x, first.y, first.z);
+    const eye = line.eye[stop], up = line.up[stop], vector = function (v, scale) { return { x: scale * v[0], y: scale * v[1], z: scale * v[2] }; };
     figure.view = { eye: vector(eye, away), up: vector(up, 1), center: { x: 0, y: 0, z: 0 } };
     if (figure.drawn) Plotly.relayout(figure.drawing, { "scene.camera": figure.view });
     else if (figure.shape) sketch(figure);
