@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from polhode.backend.problem.inertia import FORMS, inertia_by_parameters, inertia_from_second_moments
-from polhode.backend.uncertainty.ambiguity import with_ambiguous_rotation
+from polhode.backend.uncertainty.ambiguity import OpenRotation, end_of, with_ambiguous_rotation
 from polhode.geometry.lie import Array, exp_so3
 from polhode.geometry.rigid_body import angular_momentum_N
 from polhode.records.estimate import MotionEstimate
@@ -105,7 +105,8 @@ def test_known_torques_give_the_momentum_in_absolute_units_with_its_sigma() -> N
 
 def test_an_ambiguous_rotation_and_an_unknown_covariance_leave_nothing_known() -> None:
     estimate = solved(TUMBLE, 0)[1]
-    found = found_in(with_ambiguous_rotation(estimate, (120.0, 240.0)))
+    both = [end_of(estimate, OpenRotation("sphere", turn_deg, 0.5)) for turn_deg in (120.0, 240.0)]
+    found = found_in(with_ambiguous_rotation(estimate, tuple(both)))
     for part in (found.momentum_N, found.spin_N, found.spin_P):
         assert np.isinf(part.sigma_rad) and np.linalg.norm(part.unit) == pytest.approx(1.0)
     assert np.isinf(found.sigma_momentum_rad_s)
