@@ -111,7 +111,8 @@ CHECK_TABLE = {
     # right rates have at least 0.2, and mostly 0.4 to 0.95, those of a still outline at most 0.04
     "symmetry rotation": CheckRow(
         "contrast between the best and the second-best rotation about the symmetry axis", "", 0.15,
-        "the target is a body of revolution, and the turn found about its axis is doubtful, since "
+        "if the target is a body of revolution, as its surface suggests, the turn found about its axis is "
+        "doubtful, since "
         "{doubt} one that differs by {rate_deg_s:.1f} deg/s (correlation {own:.2f} and {other:.2f}, "
         "usual: 0.5 and 0)", at_least=True),
     "prediction": CheckRow(
