@@ -104,5 +104,5 @@ def _sigma_ln_absolute(mass: MassProperties, of_ln: Array, covariance: Array) ->
     scale, sigma = mass.inertia_scale_kg_m2, mass.sigma_inertia_scale_kg_m2
     if scale is None or sigma is None or mass.cov_ln_scale is None or not np.isfinite(sigma):
         return np.inf
-    variance = (sigma / scale) ** 2 + of_ln @ (2.0 * mass.cov_ln_scale + covariance @ of_ln)
+    variance = float((sigma / scale) ** 2 + of_ln @ (2.0 * mass.cov_ln_scale + covariance @ of_ln))
     return float(np.sqrt(max(variance, 0.0)))

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -84,8 +86,8 @@ def test_the_covariance_of_velocities_is_that_of_states_drawn_and_propagated() -
     root = np.sqrt(np.diag(target.last.covariance))[:, None] * mixed
     last = replace(target.last, covariance=root @ root.T, R_GP=np.eye(3)[:, [1, 2, 0]])
     p_G, times = np.array([[0.15, 0.05, -0.1], target.com_G, [0.0, 0.8, 0.0]]), np.array([0.0, 2.0, 6.0])
-    states = vars(predict(last, times, 0.0, 0.0)).values()
-    motion = PredictedMotion(*states, np.arange(3), (), last.R_GP, target.com_G)
+    given: dict[str, Any] = vars(predict(last, times, 0.0, 0.0)) | {"undetermined": ()}
+    motion = PredictedMotion(**given, timestamps_ns=np.arange(3), R_GP=last.R_GP, com_G=target.com_G)
     found = velocity_covariance(motion, (p_G - target.com_G) @ last.R_GP), motion.points_covariance(p_G)
     d = np.random.default_rng(3).normal(size=(20_000, 20)) @ root.T
     J = last.J_G + np.einsum("nk,kij->nij", d[:, 12:17], last.J_jacobian)
