@@ -1,7 +1,6 @@
 """Corridor, speeds of the surface and path: closed forms of a pure spin, differences, what it looks at."""
 
 from dataclasses import replace
-
 from typing import Any
 
 import numpy as np
