@@ -40,7 +40,6 @@ from polhode.planning.plan import final_estimate, keep_out_of_run, surface_of
 from polhode.planning.predict import predict_instants, require_instants
 from polhode.planning.prediction import PredictedMotion, nominal_motion
 from polhode.records.estimate import Landmarks
-from polhode.records.rotation import Direction, LastRotation
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.report import evaluate_and_report
@@ -59,13 +58,7 @@ from polhode.run_directory.run_folder import REPORT, require_run_folder
 from polhode.run_directory.stored_run import StoredMotion, read_motion
 from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_in_words import describe_summary
-from polhode.run_directory.summary_schema import (
-    DirectionSummary,
-    Identifiable,
-    Intervals,
-    Summary,
-    Verdict,
-)
+from polhode.run_directory.summary_schema import Identifiable, Intervals, Rotation, Summary, Verdict
 from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.runtime.argument_names import errors_name_arguments
 from polhode.runtime.console import choose_progress
@@ -295,22 +288,11 @@ class Run:
             mass_kg=found.inertia.mass_kg,
         )
 
-    @cached_property
-    def rotation(self) -> LastRotation:
-        """Angular momentum and spin axis at the last pair. Raises InputError: the run has none."""
-        words = f"{self.folder}: no estimate, or an earlier version's without angular momentum; run it again"
-        found = vars(_there(self.summary.rotation, words))
-        directions = {
-            name: Direction(np.array(part.unit), _variances(part.cov))
-            for name, part in found.items()
-            if isinstance(part, DirectionSummary)
-        }
-        sigmas = {
-            name: np.inf
-            for name in ("sigma_momentum_rad_s", "sigma_momentum_N_m_s")
-            if found[name] is None and found[name.removeprefix("sigma_")] is not None
-        }
-        return LastRotation(**found | directions | sigmas)
+    @property
+    def rotation(self) -> Rotation:
+        """Angular momentum and spin axis at the last pair (None: undetermined). Raises InputError."""
+        words = f"{self.folder}: no estimate, or that of an earlier version, without rotation; run it again"
+        return _there(self.summary.rotation, words)
 
     @cached_property
     def X_NG(self) -> Array:

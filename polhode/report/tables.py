@@ -10,7 +10,7 @@ import numpy as np
 from polhode.geometry.lie import Array
 from polhode.records.metrics import ALIGNED, IN_INTERVAL, expected_range
 from polhode.run_directory.stored_run import StoredRun
-from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, RotationSummary, Summary
+from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Rotation, Summary
 from polhode.run_directory.trajectory_file import Trajectory, standard_deviations
 
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
@@ -269,7 +269,7 @@ def motion_rows(content: StoredRun) -> list[TableRow]:
     return [*rows, *rotation_rows(content.summary.rotation)]
 
 
-def rotation_rows(rotation: RotationSummary | None) -> list[TableRow]:
+def rotation_rows(rotation: Rotation | None) -> list[TableRow]:
     """Angular momentum and spin axis at the last pair; nothing in a run of an earlier version."""
     if rotation is None:
         return []

@@ -8,9 +8,9 @@ in a spin without nutation the angular momentum is along the spin axis, whatever
 import numpy as np
 
 from polhode.geometry.lie import Array, hat
-from polhode.records.estimate import MotionEstimate
-from polhode.records.rotation import Direction, LastRotation
+from polhode.records.estimate import MassProperties, MotionEstimate
 from polhode.run_directory.archives import undetermined_as_inf
+from polhode.run_directory.summary_schema import Direction, Rotation
 
 MAX_DIRECTION_RAD = float(np.deg2rad(5.0))
 """Largest standard deviation of a direction that counts as determined, as of the principal axes."""
@@ -22,7 +22,7 @@ THETA, RATE, XI = slice(6, 9), slice(9, 12), slice(12, 17)
 """Where they stand in ``covariance_last_body``."""
 
 
-def last_rotation(estimate: MotionEstimate) -> LastRotation | None:
+def last_rotation(estimate: MotionEstimate) -> Rotation | None:
     """Of the last state; None: the estimate has no covariance of the body itself."""
     covariance, mass = estimate.covariance_last_body, estimate.mass
     if covariance is None or mass.J_by_xi is None:
@@ -33,21 +33,23 @@ def last_rotation(estimate: MotionEstimate) -> LastRotation | None:
     of_momentum, of_size = momentum_jacobian(R_NG, w_G, mass.J_G, mass.J_by_xi)
     of_spin, _ = momentum_jacobian(R_NG, w_G, np.eye(3), np.zeros((5, 3, 3)))
     size = float(np.linalg.norm(h_G))
-    beyond = _beyond_first_order(mass.J_G, mass.J_by_xi, covariance[XI, XI])
-    by_inertia = np.sqrt(of_size[XI] @ covariance[XI, XI] @ of_size[XI] + size**2 * beyond)
-    sigma = float(np.sqrt(of_size @ covariance @ of_size + size**2 * beyond))
-    absolute, sigma_absolute = _absolute(estimate, size, of_size, covariance)
+    beyond = size**2 * _beyond_first_order(mass.J_G, mass.J_by_xi, covariance[XI, XI])
+    by_inertia = np.sqrt(of_size[XI] @ covariance[XI, XI] @ of_size[XI] + beyond)
+    sigma = np.sqrt(of_size @ covariance @ of_size + beyond)
     across, of_rate = _across(w_P), undetermined_as_inf(estimate.covariance[-1][9:, 9:])
     of_spin_P = across @ of_rate @ across.T if np.isfinite(of_rate).all() else of_rate
-    known = not estimate.hypotheses
-    return LastRotation(
+    known, scale = not estimate.hypotheses, mass.inertia_scale_kg_m2
+    absolute = _sigma_ln_absolute(mass, of_size / max(size, 1e-300), covariance)
+    return Rotation(
         momentum_N=_direction(R_NG @ h_G, of_momentum @ covariance @ of_momentum.T, known),
         momentum_rad_s=size,
-        sigma_momentum_rad_s=sigma if known and by_inertia < MAX_LN_SIZE * size else np.inf,
+        sigma_momentum_rad_s=float(sigma) if known and by_inertia < MAX_LN_SIZE * size else None,
+        momentum_N_m_s=None if scale is None else scale * size,
+        sigma_momentum_N_m_s=(
+            None if scale is None or not known or absolute > MAX_LN_ABSOLUTE else scale * size * absolute
+        ),
         spin_N=_direction(R_NG @ w_G, of_spin @ covariance @ of_spin.T, known),
         spin_P=_direction(w_P, of_spin_P, known),
-        momentum_N_m_s=absolute,
-        sigma_momentum_N_m_s=sigma_absolute if known else None if absolute is None else np.inf,
     )
 
 
@@ -75,10 +77,12 @@ def _across(vector: Array) -> Array:
 
 
 def _direction(vector: Array, covariance: Array, known: bool) -> Direction:
-    found = Direction(_unit(vector), covariance)
-    if known and found.sigma_rad < MAX_DIRECTION_RAD:
-        return found
-    return Direction(found.unit, np.diag(np.full(3, np.inf)))
+    unit, sigma = _unit(vector), np.inf
+    if known and np.isfinite(covariance).all():
+        sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    if sigma > MAX_DIRECTION_RAD:
+        return Direction(unit=unit, cov=[[None] * 3] * 3, sigma_deg=None)
+    return Direction(unit=unit, cov=covariance.tolist(), sigma_deg=float(np.rad2deg(sigma)))
 
 
 def _beyond_first_order(J_G: Array, J_by_xi: Array, cov_xi: Array) -> float:
@@ -95,17 +99,10 @@ def _beyond_first_order(J_G: Array, J_by_xi: Array, cov_xi: Array) -> float:
     return float(np.mean(np.log(middle) ** 2))
 
 
-def _absolute(
-    estimate: MotionEstimate, size: float, of_size: Array, covariance: Array
-) -> tuple[float | None, float | None]:
-    """Size [N m s] and its sigma, by the scale that known torques give the inertia; None: none are known."""
-    mass = estimate.mass
-    if mass.inertia_scale_kg_m2 is None or mass.sigma_inertia_scale_kg_m2 is None:
-        return None, None
-    value, of_ln = mass.inertia_scale_kg_m2 * size, of_size / max(size, 1e-300)
-    if not np.isfinite(mass.sigma_inertia_scale_kg_m2) or mass.cov_ln_scale is None:
-        return value, np.inf
-    variance = (mass.sigma_inertia_scale_kg_m2 / mass.inertia_scale_kg_m2) ** 2
-    variance += float(of_ln @ (2.0 * mass.cov_ln_scale + covariance @ of_ln))
-    sigma = float(np.sqrt(max(variance, 0.0)))
-    return value, value * sigma if sigma < MAX_LN_ABSOLUTE else np.inf
+def _sigma_ln_absolute(mass: MassProperties, of_ln: Array, covariance: Array) -> float:
+    """Relative sigma of the size in N m s, by the scale that known torques give the inertia; inf: none."""
+    scale, sigma = mass.inertia_scale_kg_m2, mass.sigma_inertia_scale_kg_m2
+    if scale is None or sigma is None or mass.cov_ln_scale is None or not np.isfinite(sigma):
+        return np.inf
+    variance = float((sigma / scale) ** 2 + of_ln @ (2.0 * mass.cov_ln_scale + covariance @ of_ln))
+    return float(np.sqrt(max(variance, 0.0)))

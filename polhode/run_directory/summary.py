@@ -17,7 +17,6 @@ from polhode.files.json_files import read_json
 from polhode.files.output.exchange import entries
 from polhode.files.output.run_files import is_run_file, is_stage_file
 from polhode.records.estimate import MotionEstimate, RotationHypothesis
-from polhode.records.rotation import Direction, LastRotation
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.archives import undetermined_as_inf
@@ -208,7 +207,7 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
         "cov_com_G": nullable(mass.cov_com_G),
         "R_GP": mass.R_GP,
         "cov_R_GP": nullable(mass.cov_R_GP),
-        "rotation": _rotation(last_rotation(estimate)),
+        "rotation": last_rotation(estimate),
         "solver": vars(solver) | {"converged": bool(solver.converged), "ipopt": ipopt},
         "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
         "hypotheses": [_hypothesis(each, number) for number, each in enumerate(estimate.hypotheses)],
@@ -220,21 +219,6 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
             }
             for impulse in impulses
         ],
-    }
-
-
-def _rotation(found: LastRotation | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {
-        name: {
-            "unit": part.unit,
-            "cov": nullable(part.covariance),
-            "sigma_deg": np.rad2deg(part.sigma_rad).item(),
-        }
-        if isinstance(part, Direction)
-        else part
-        for name, part in vars(found).items()
     }
 
 

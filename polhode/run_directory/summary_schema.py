@@ -100,7 +100,7 @@ class Inertia(StrictModel):
     """null: undetermined, or no torque is known."""
 
 
-class DirectionSummary(StrictModel):
+class Direction(StrictModel):
     """A direction, whose error is a small turn across it."""
 
     unit: Vector
@@ -111,10 +111,10 @@ class DirectionSummary(StrictModel):
     """Standard deviation along the worse of two axes across it; null: undetermined."""
 
 
-class RotationSummary(StrictModel):
+class Rotation(StrictModel):
     """Angular momentum and spin axis at the last pair; null: undetermined."""
 
-    momentum_N: DirectionSummary
+    momentum_N: Direction
     """Direction of the angular momentum about the centre of mass, in N."""
     momentum_rad_s: Finite
     """Its size over the middle moment [rad/s]."""
@@ -123,9 +123,9 @@ class RotationSummary(StrictModel):
     """Its size from known torques [N m s]; null: none are known."""
     sigma_momentum_N_m_s: Variance
     """null: undetermined, or no torque is known."""
-    spin_N: DirectionSummary
+    spin_N: Direction
     """Direction of the angular velocity, in N."""
-    spin_P: DirectionSummary
+    spin_P: Direction
     """The same in the principal axes, whose half-turns are a choice of the run."""
 
 
@@ -468,7 +468,7 @@ class Summary(StrictModel):
     R_GP: Matrix | None
     cov_R_GP: VarianceMatrix | None
     """Of theta in R_GP Exp(theta) [rad^2]."""
-    rotation: RotationSummary | None = None
+    rotation: Rotation | None = None
     """At the last pair; null: an earlier version wrote none."""
     solver: SolverSummary | None
     noise: Noise | None

@@ -27,11 +27,7 @@ SKETCH = """name => {
 }"""
 NOTE_TEXTS = """() => {
     window.texts = [];
-    const own = CanvasRenderingContext2D.prototype.fillText;
-    CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
-        texts.push(text);
-        own.call(this, text, x, y);
-    };
+    CanvasRenderingContext2D.prototype.fillText = text => texts.push(text);
 }"""
 GROUND = "document.getElementById('plot-attitude').layout.plot_bgcolor"
 
@@ -99,10 +95,8 @@ def solid_figures_are_flat_until_they_are_touched(page: Any) -> None:
         assert np.any(np.array(page.evaluate(SKETCH, name)).reshape(-1, 4) != first), "the slider moves it"
     page.evaluate(NOTE_TEXTS)
     page.locator(".clock input").fill("3")
-    for unit in ("[deg/s]", "[mm]"):
-        assert sum(text.endswith(unit) for text in page.evaluate("texts")) % 3 == 0
-    numbers = [text for text in page.evaluate("texts") if re.fullmatch("\u2212?[0-9.]+", text)]
-    assert len(set(numbers)) > 6, "numbers on the axes"
+    numbers = {text for text in page.evaluate("texts") if re.fullmatch("\u2212?[0-9.]+", text)}
+    assert {"\u221250", "0", "50"} <= numbers, "on the axes"
     page.locator("#plot-mesh .turn").click()
     page.wait_for_selector("#plot-mesh.js-plotly-plot canvas")
     assert page.locator("#plot-mesh canvas.sketch").count() == 0

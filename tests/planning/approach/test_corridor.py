@@ -1,18 +1,25 @@
 """Corridor, speeds of the surface and path: closed forms of a pure spin, differences, what it looks at."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polhode.geometry.lie import Array, exp_so3, make_pose
+from polhode.geometry.lie import exp_so3, make_pose
 from polhode.planning.approach.corridor import ApproachPath, along_corridor, corridor, towards_centre
 from polhode.planning.approach.surface_speed import (
     slowest_points,
     surface_speed,
     velocity_covariance,
 )
-from polhode.planning.prediction import BodyMotion, nominal_motion, predict, propagate_members
+from polhode.planning.prediction import (
+    BodyMotion,
+    PredictedMotion,
+    nominal_motion,
+    predict,
+    propagate_members,
+)
 from tests.planning.bodies import estimate
 
 SPIN = 0.4
@@ -78,24 +85,28 @@ def test_the_covariance_of_velocities_is_that_of_states_drawn_and_propagated() -
     root = np.sqrt(np.diag(target.last.covariance))[:, None] * mixed
     last = replace(target.last, covariance=root @ root.T, R_GP=np.eye(3)[:, [1, 2, 0]])
     p_G, times = np.array([[0.15, 0.05, -0.1], target.com_G, [0.0, 0.8, 0.0]]), np.array([0.0, 2.0, 6.0])
-    found = velocity_covariance(predict(last, times, 0.0, 0.0), (p_G - target.com_G) @ last.R_GP)
+    given: dict[str, Any] = vars(predict(last, times, 0.0, 0.0)) | {"undetermined": ()}
+    motion = PredictedMotion(**given, timestamps_ns=np.arange(3), R_GP=last.R_GP, com_G=target.com_G)
+    found = velocity_covariance(motion, (p_G - target.com_G) @ last.R_GP), motion.points_covariance(p_G)
     d = np.random.default_rng(3).normal(size=(20_000, 20)) @ root.T
     J = last.J_G + np.einsum("nk,kij->nij", d[:, 12:17], last.J_jacobian)
     R, w = propagate_members(last, d, J, times)
     lever = p_G[:, None] - target.com_G - d[:, 17:20]
     for k in range(len(times)):
         for n in range(len(p_G)):
-            drawn: Array = last.v_N + d[:, 3:6] + np.einsum("mij,mj->mi", R[k], np.cross(w[k], lever[n]))
-            expected = np.cov(drawn.T)
-            sigma = np.sqrt(np.diag(expected))
-            # 20,000 draws: an element scatters by at most 1 % of the two sigmas
-            np.testing.assert_allclose(
-                found[k, n] / sigma / sigma[:, None], expected / sigma / sigma[:, None], atol=0.04
-            )
+            velocity = d[:, 3:6] + np.einsum("mij,mj->mi", R[k], np.cross(w[k], lever[n]))
+            place = d[:, 0:3] + times[k] * d[:, 3:6] + np.einsum("mij,mj->mi", R[k], lever[n])
+            for covariance, drawn in zip(found, (velocity, place), strict=True):
+                expected = np.cov(drawn.T)
+                sigma = np.sqrt(np.diag(expected))
+                # 20,000 draws: an element scatters by at most 1 % of the two sigmas
+                np.testing.assert_allclose(
+                    covariance[k, n] / sigma / sigma[:, None], expected / sigma / sigma[:, None], atol=0.04
+                )
     # disturbances make velocities less certain with time
     still, later = estimate((0.1, 0.5, 0.3), size=0.0).last, np.array([1.0, 4.0])
-    found = velocity_covariance(predict(still, later, 1e-6, 0.0), np.array([[0.1, 0.0, 0.0]]))
-    np.testing.assert_allclose(found[:, 0], later[:, None, None] * 1e-6 * np.eye(3), atol=1e-12)
+    alone = velocity_covariance(predict(still, later, 1e-6, 0.0), np.array([[0.1, 0.0, 0.0]]))
+    np.testing.assert_allclose(alone[:, 0], later[:, None, None] * 1e-6 * np.eye(3), atol=1e-12)
 
 
 T = np.linspace(0.0, 20.0, 41)
