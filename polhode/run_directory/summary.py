@@ -59,8 +59,9 @@ def build_summary(
     ``total`` is their sum unless it is given. Whoever has intervals adds them.
     """
     if estimate is not None:
+        checks, rotation = [*checks, *estimate_checks(tracks, estimate, surface)], rotation_check(estimate)
         # where it does not hold, it is the first that a user should know
-        checks = [rotation_check(estimate), *checks, *estimate_checks(tracks, estimate, surface)]
+        checks = [rotation, *checks] if rotation.reason else [*checks, rotation]
     verdict = decide_verdict(failure, estimate, checks)
     own, reported = estimate.warnings if estimate is not None else (), list(verdict.reasons)
     if estimate is not None:
