@@ -251,7 +251,7 @@ def _estimate(
         runner_up=runner_up | found.wrench_runner_up,
         ipopt=solution.program,
     )
-    estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px, config.focal_error))
+    estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px))
     stronger = disturbance_ratio(whole.data, config.accel_psd, config.torque_psd)
     much_disturbed = stronger >= SUSPICIOUS_RATIO
     turns_deg = ambiguous_turns_deg(found.choice, trials[best], data.dt_s, much_disturbed)

@@ -179,6 +179,23 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
+class CalibrationPart:
+    """What errors of the calibration, which all frames share, contribute to the covariances."""
+
+    source: str
+    """Of the sigmas of the calibration, in words"""
+    last_joint: Array
+    """(20, 20) of ``covariance_last_joint``"""
+    cov_k: Array
+    """(2, 2)"""
+    cov_R_GP: Array
+    """(3, 3) [rad^2]"""
+    poses: Array
+    """(F, 6, c) change of the seen poses by one sigma of each of c errors: shift along N [m], turn along G
+    [rad]"""
+
+
+@dataclass(frozen=True)
 class MotionEstimate:
     """The result of the back end, one state per frame; r, v are absolute, the attitude is R_NP Exp(theta)."""
 
@@ -220,6 +237,8 @@ class MotionEstimate:
     the first frame shows them: it is the covariance of the motion since then. None: unknown"""
     disturbances: Disturbances | None = None
     """By unknown forces and torques; None: not sought, or none found"""
+    calibration: CalibrationPart | None = None
+    """None: the calibration is exact"""
 
 
 @dataclass(frozen=True)
