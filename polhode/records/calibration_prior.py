@@ -8,7 +8,8 @@ the axes of the right one; ``cam1.clock_offset`` [s], how much later than stated
 ``cam0.theta_x`` and so on, a turn along the camera's own. Each is the true value minus the stated one.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ import numpy as np
 
 from polhode.files.array_files import read_arrays
 from polhode.files.tables import numbers_at, read_mapping
-from polhode.geometry.lie import Array
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, make_pose
 from polhode.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,6 +72,11 @@ class CalibrationPrior:
         values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale).clip(1e-300))
         used = values > 1e-9
         return np.asarray(scale[:, None] * vectors[:, used] * np.sqrt(values[used]))
+
+    def without(self, *starts: str) -> "CalibrationPrior":
+        """Exact where names begin so."""
+        kept = np.array([not name.startswith(starts) for name in self.names])
+        return replace(self, covariance=self.covariance * np.outer(kept, kept))
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Errors drawn from it, by name."""
@@ -142,6 +148,24 @@ def _of_right(names: tuple[str, ...], values: Array) -> dict[str, float]:
     return {f"cam1.{name}": float(value) for name, value in zip(names, values, strict=True)}
 
 
+def changed(calibration: "StereoCalibration", errors: Mapping[str, float]) -> "StereoCalibration":
+    """The calibration with errors added, by name."""
+
+    def of(camera: int, names: tuple[str, ...]) -> Array:
+        return np.array([errors.get(f"cam{camera}.{name}", 0.0) for name in names])
+
+    K, dist = [calibration.K0.copy(), calibration.K1.copy()], [calibration.dist0, calibration.dist1]
+    for i in (0, 1):
+        K[i][[0, 1, 0, 1], [0, 1, 2, 2]] += of(i, INTRINSICS)
+        dist[i] = dist[i] + of(i, _coefficients(dist[i]))
+    X_BC0, X_01 = calibration.X_BC0, inverse_pose(calibration.X_BC0) @ calibration.X_BC1
+    X_01 = make_pose(X_01[:3, :3] @ exp_so3(of(1, TURN)), X_01[:3, 3] + of(1, POSITION))
+    X_BC0 = make_pose(X_BC0[:3, :3] @ exp_so3(of(0, TURN)), X_BC0[:3, 3] + of(0, POSITION))
+    return replace(
+        calibration, K0=K[0], K1=K[1], dist0=dist[0], dist1=dist[1], X_BC0=X_BC0, X_BC1=X_BC0 @ X_01
+    )
+
+
 def prior_of(calibration: "StereoCalibration") -> CalibrationPrior:
     """What is stated of a calibration, or the default."""
     return calibration.prior or default_prior(calibration)
@@ -173,10 +197,18 @@ def read_prior(mav0: Path, calibration: "StereoCalibration", cameras: tuple[str,
     if not covariance.any():
         return CalibrationPrior(names, covariance, EXACT)
     files = [*(["the sigmas of sensor.yaml"] if stated else []), *([COVARIANCE_FILE] if joint else [])]
-    rest = "" if len(stated | dict.fromkeys(joint.names if joint else ())) >= len(names) - 7 else (
-        "; what they leave out is the default of a good laboratory calibration"
-    )  # fmt: skip
+    known = {*stated, *(joint.names if joint else ())}
+    left_out = [n for n, s in zip(names, default.sigma, strict=True) if s > 0.0 and n not in known]
+    rest = ", else the default of a good laboratory calibration" if left_out else ""
     return CalibrationPrior(names, covariance, " and ".join(files) + rest)
+
+
+def states_sigmas(mav0: Path, cameras: tuple[str, ...]) -> bool:
+    """Whether the ``sensor.yaml`` of a camera, or a covariance, says how well the calibration is known."""
+    if (mav0 / COVARIANCE_FILE).exists():
+        return True
+    files = [mav0 / camera / "sensor.yaml" for camera in cameras]
+    return any("_sigma" in key for file in files if file.exists() for key in read_mapping(file, ""))
 
 
 def _stated(path: Path, index: int, dist: Array) -> dict[str, float]:
@@ -209,7 +241,7 @@ def _read_covariance(path: Path, known: tuple[str, ...]) -> CalibrationPrior | N
     arrays = read_arrays(path)
     if missing := {"names", "covariance"} - set(arrays):
         raise InputError(f"{path} lacks the array '{min(missing)}'; give names and covariance")
-    names, C = tuple(map(str, arrays["names"].ravel().tolist())), arrays["covariance"]
+    names, C = tuple(map(str, arrays["names"].ravel().tolist())), np.asarray(arrays["covariance"])
     n = len(names)
     if unknown := [name for name in names if name not in known]:
         raise InputError(f"{path}: {unknown[0][:40]!r} is no parameter of this rig; see docs/dataset.md")
@@ -217,10 +249,9 @@ def _read_covariance(path: Path, known: tuple[str, ...]) -> CalibrationPrior | N
         raise InputError(f"{path}: a name occurs twice; give each parameter once")
     if C.dtype.kind not in "fiu" or C.shape != (n, n) or not np.isfinite(C).all():
         raise InputError(f"{path}: covariance must be {n} x {n} finite numbers, one row for each name")
-    C = np.asarray(C, dtype=np.float64)
-    variance = np.diag(C)
+    variance = np.diag(C := C.astype(np.float64))
     scale = np.sqrt(np.maximum(variance, 0.0))
-    unit = C / np.outer(scale, scale).clip(1e-300)
+    unit = np.asarray(C / np.outer(scale, scale).clip(1e-300), dtype=np.float64)
     if (variance < 0.0).any() or abs(unit - unit.T).max(initial=0.0) > 1e-6:
         raise InputError(f"{path}: covariance is not symmetric with variances of at least 0; correct it")
     if n and (abs(unit).max() > 1.0 + 1e-6 or np.linalg.eigvalsh(unit)[0] < -1e-6):

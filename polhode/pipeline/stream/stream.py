@@ -285,7 +285,8 @@ class Stream:
     def _effects(self) -> CalibrationEffects | None:
         stated = self._camera.stated
         if stated is None:
-            stated = not np.array_equal(self._past.first_X_NR, self._X_CR)
+            first = self._past.first_X_NR
+            stated = first is not None and not np.array_equal(first, self._X_CR)
         return calibration_effects(self._calibration, self.rectifier, stated, self._camera.has_ranges)
 
     @property
