@@ -10,7 +10,7 @@ import numpy as np
 from polhode.geometry.lie import Array
 from polhode.records.metrics import ALIGNED, IN_INTERVAL, expected_range
 from polhode.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Summary
+from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, SigmaParts, Summary
 from polhode.run_directory.trajectory_file import Trajectory, standard_deviations
 
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
@@ -215,6 +215,10 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         TableRow("landmarks", f"{summary.landmarks}"),
         TableRow("observations", f"{summary.observations}"),
     ]
+    if summary.calibration is not None:
+        rows.append(TableRow("calibration's sigmas", summary.calibration.source))
+    elif summary.noise is not None:
+        rows.append(TableRow("calibration's sigmas", "none: taken as exact"))
     if (noise := summary.noise) is not None:
         rows += [
             TableRow(name, f"{value:.3f}", "px")
@@ -298,6 +302,35 @@ def sigma_rows(content: StoredRun) -> list[tuple[str, str, tuple[str, ...]]]:
         ("centre of mass, along G", "mm", cells(1e3 * com)),
         ("principal axes, about P", "deg", cells(np.rad2deg(axes))),
         *((f"inertia ratio k{k}", "", (cell,)) for k, cell in enumerate(cells(ratios), start=1)),
+        *calibration_rows(summary),
+    ]
+
+
+def calibration_rows(summary: Summary) -> list[tuple[str, str, tuple[str, ...]]]:
+    """(quantity, unit, parts of the sigma of its length at the end: by images, calibration, both)."""
+    found = summary.calibration
+    if found is None:
+        return []
+    parts = (
+        ("position", found.position_m, "mm", 1e3),
+        ("velocity", found.velocity_m_s, "mm/s", 1e3),
+        ("attitude", found.attitude_rad, "deg", float(np.rad2deg(1.0))),
+        ("angular velocity", found.angular_velocity_rad_s, "deg/s", float(np.rad2deg(1.0))),
+        ("centre of mass", found.com_m, "mm", 1e3),
+        ("principal axes", found.axes_rad, "deg", float(np.rad2deg(1.0))),
+        ("inertia ratio k1", found.k1, "", 1.0),
+        ("inertia ratio k2", found.k2, "", 1.0),
+    )
+
+    def cells(part: SigmaParts, scale: float) -> tuple[str, ...]:
+        if part.images is None:
+            return "no bound", f"{scale * part.calibration:.3g}", "no bound"
+        both = part.images, part.calibration, float(np.hypot(part.images, part.calibration))
+        return tuple(f"{scale * value:.3g}" for value in both)
+
+    return [
+        (f"{name}, at the end: by the images, by the calibration, both", unit, cells(part, scale))
+        for name, part, unit, scale in parts
     ]
 
 

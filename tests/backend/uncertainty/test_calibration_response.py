@@ -1,7 +1,5 @@
 """Errors of the calibration, which the solution takes as right and its covariance does not."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from polhode.backend.dynamics.residuals import FrameStates
