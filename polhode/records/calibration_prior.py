@@ -220,7 +220,7 @@ def _stated(path: Path, index: int, dist: Array) -> dict[str, float]:
         keys["clock_offset_sigma_s"] = (CLOCK.partition(".")[2],)
     elif "clock_offset_sigma_s" in sensor:
         raise InputError(
-            f"{path} key 'clock_offset_sigma_s': it belongs into cam1/sensor.yaml; move it there"
+            f"{path} key 'clock_offset_sigma_s': it belongs in cam1/sensor.yaml; move it there"
         )
     for key, own in keys.items():
         if key not in sensor:
