@@ -115,10 +115,9 @@ def marginals(
     response[:first] = follow @ response[of_camera]
     dense[:first] = follow @ dense[of_camera]
     dense[:, :first] = dense[:, of_camera] @ follow.T
-    d, own = fit.data, C_inv
+    d, own, of_states = fit.data, C_inv, dense[:, :n_states]
     if errors is not None:
         excess, own = _excess(errors, fit, weight, bare, C_inv)
-        of_states = dense[:, :n_states]
         dense = dense + of_states @ excess @ of_states.T
         dense = 0.5 * (dense + dense.T)
         excess_of_constants = response.T @ excess @ response
@@ -126,7 +125,7 @@ def marginals(
     marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, own, bare.n_state)
     moved = np.zeros((n, 0))
     if calibration is not None and calibration.shape[2]:
-        moved, of_marks = _moved_by_calibration(fit, weight, calibration, dense[:, :n_states], C_inv)
+        moved, of_marks = _moved_by_calibration(fit, weight, calibration, of_states, C_inv)
         dense, marks = dense + moved @ moved.T, marks + of_marks @ np.swapaxes(of_marks, 1, 2)
     return _marginals_of_constants(dense, marks, information, prior, response, moved)
 

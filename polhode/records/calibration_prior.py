@@ -219,9 +219,7 @@ def _stated(path: Path, index: int, dist: Array) -> dict[str, float]:
     if index == 1:
         keys["clock_offset_sigma_s"] = (CLOCK.partition(".")[2],)
     elif "clock_offset_sigma_s" in sensor:
-        raise InputError(
-            f"{path} key 'clock_offset_sigma_s': it belongs in cam1/sensor.yaml; move it there"
-        )
+        raise InputError(f"{path} key 'clock_offset_sigma_s': it belongs in cam1/sensor.yaml; move it there")
     for key, own in keys.items():
         if key not in sensor:
             continue
