@@ -18,6 +18,7 @@ from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints
 from polhode.records.calibration_effects import CalibrationEffects
+from polhode.records.calibration_prior import prior_of
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.finished_stages import StageStore
@@ -111,6 +112,7 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
     sequence = open_sequence(sequence_folder)
     for warning in sequence.warnings:
         _log.warning(warning)
+    _log.info("standard deviations of the calibration: %s", prior_of(sequence.calibration).source)
     rectifier = rectifier_of(sequence)
     if rectifier.surroundings:
         _log.warning(SURROUNDINGS)

@@ -10,7 +10,7 @@ import numpy as np
 from polhode.geometry.lie import Array
 from polhode.records.metrics import ALIGNED, IN_INTERVAL, expected_range
 from polhode.run_directory.stored_run import StoredMotion, StoredRun
-from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, SigmaParts, Summary
+from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Summary
 from polhode.run_directory.trajectory_file import Trajectory, standard_deviations
 
 AXIS_NAMES = ("x (largest moment)", "y (middle moment)", "z (smallest moment)")
@@ -308,30 +308,24 @@ def sigma_rows(content: StoredRun) -> list[tuple[str, str, tuple[str, ...]]]:
 
 def calibration_rows(summary: Summary) -> list[tuple[str, str, tuple[str, ...]]]:
     """(quantity, unit, parts of the sigma of its length at the end: by images, calibration, both)."""
-    found = summary.calibration
-    if found is None:
+    if (found := summary.calibration) is None:
         return []
-    parts = (
+    rows, degrees = list[tuple[str, str, tuple[str, ...]]](), float(np.rad2deg(1.0))
+    for name, part, unit, scale in (
         ("position", found.position_m, "mm", 1e3),
         ("velocity", found.velocity_m_s, "mm/s", 1e3),
-        ("attitude", found.attitude_rad, "deg", float(np.rad2deg(1.0))),
-        ("angular velocity", found.angular_velocity_rad_s, "deg/s", float(np.rad2deg(1.0))),
+        ("attitude", found.attitude_rad, "deg", degrees),
+        ("angular velocity", found.angular_velocity_rad_s, "deg/s", degrees),
         ("centre of mass", found.com_m, "mm", 1e3),
-        ("principal axes", found.axes_rad, "deg", float(np.rad2deg(1.0))),
+        ("principal axes", found.axes_rad, "deg", degrees),
         ("inertia ratio k1", found.k1, "", 1.0),
         ("inertia ratio k2", found.k2, "", 1.0),
-    )
-
-    def cells(part: SigmaParts, scale: float) -> tuple[str, ...]:
-        if part.images is None:
-            return "no bound", f"{scale * part.calibration:.3g}", "no bound"
-        both = part.images, part.calibration, float(np.hypot(part.images, part.calibration))
-        return tuple(f"{scale * value:.3g}" for value in both)
-
-    return [
-        (f"{name}, at the end: by the images, by the calibration, both", unit, cells(part, scale))
-        for name, part, unit, scale in parts
-    ]
+    ):
+        images = np.inf if part.images is None else part.images
+        values = images, part.calibration, float(np.hypot(images, part.calibration))
+        cells = tuple(f"{scale * value:.3g}" if np.isfinite(value) else "no bound" for value in values)
+        rows.append((f"{name}, at the end: by the images, by the calibration, both", unit, cells))
+    return rows
 
 
 def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:
