@@ -21,7 +21,7 @@ import numpy as np
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.uncertainty.identifiability import with_more
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, hat, inverse_pose, transform_points
+from polhode.geometry.lie import Array, hat, inverse_pose, log_so3, transform_points
 from polhode.records.calibration_effects import CalibrationEffects
 from polhode.records.estimate import Identifiability, MassProperties, MotionEstimate, OnlineEstimate
 from polhode.records.tracks import StereoTracks
@@ -74,7 +74,12 @@ def calibration_spread(
     """
     R_RN = np.swapaxes(X_NR[:, :3, :3], 1, 2)
     r_R = transform_points(inverse_pose(X_NR), online.r_N[:, None])[:, 0]
-    v_R = np.einsum("fij,fj->fi", R_RN, online.v_N)
+    # of the camera since the row before
+    dt_s = np.maximum(1e-9 * np.diff(online.timestamps_ns), 1e-9)[:, None]
+    turning_R, moving_N = np.zeros((2, len(X_NR), 3))
+    turning_R[1:] = log_so3(R_RN[:-1] @ X_NR[1:, :3, :3]) / dt_s
+    moving_N[1:] = np.diff(X_NR[:, :3, 3], axis=0) / dt_s
+    v_R = np.einsum("fij,fj->fi", R_RN, online.v_N - moving_N) - np.cross(turning_R, r_R)
 
     def shift(p_R: Array) -> Array:
         return rig.triangulation_jacobian(p_R) @ effects.at(rig, p_R, v_R)
@@ -91,9 +96,10 @@ def calibration_spread(
     spread = np.zeros((len(at), 9, 2 * at.shape[2]))
     c = at.shape[2]
     spread[:, :3, :c] = X_NR[:, :3, :3] @ at
-    spread[:, 3:6, :c] = X_NR[:, :3, :3] @ np.einsum("fijc,fj->fic", slope, v_R)
+    changing = np.einsum("fijc,fj->fic", slope, v_R) + hat(turning_R) @ at
+    spread[:, 3:6, :c] = X_NR[:, :3, :3] @ changing
     to_P = np.swapaxes(online.R_NP, 1, 2) @ X_NR[:, :3, :3]
-    spread[:, 6:], spread[:, 6:, c:] = to_P @ np.concatenate([turn, 0.0 * turn], axis=2), to_P @ wobble
+    spread[:, 6:, :c], spread[:, 6:, c:] = to_P @ turn, to_P @ wobble
     return spread
 
 
@@ -139,7 +145,8 @@ def online_with_systematic(
 ) -> OnlineEstimate:
     """The causal estimate with systematic errors in the covariances of states and centre of mass.
 
-    X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself and the first known one only.
+    X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself, the one before
+    and the first known one only.
     """
     spread = position_spread(rig, X_NR, online.r_N, shared)
     if calibration is not None:

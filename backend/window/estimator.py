@@ -247,7 +247,7 @@ def online_estimate(
 ) -> OnlineEstimate:
     """One record of states with the errors that all landmarks share; X_NR (F, 4, 4): the left camera.
 
-    A row depends on its state and the first one of which something is known only.
+    A row depends on its state, the one before and the first one of which something is known only.
     """
     light_px = config.light_px if config.correlated_errors == "slide" else 0.0
     shared = SharedErrors(config.systematic_px, light_px)

@@ -74,20 +74,25 @@ def at_truth(sequence: SyntheticSequence, config: Backend | None = None) -> Moti
     return MotionFit(data, Iterate(*states, truth.com_G, xi, R_inertia, sequence.p_G, camera))
 
 
-def calibrated(sequence: SyntheticSequence, z: Array | None = None) -> SyntheticSequence:
-    """The sequence with the default sigmas of its rig's calibration, and z (c,) sigmas of errors in it."""
+def calibrated(sequence: SyntheticSequence) -> SyntheticSequence:
+    """The sequence with the default sigmas of its rig's calibration."""
     rig = sequence.tracks.rig
     X_BC1 = make_pose(np.eye(3), np.array([rig.baseline_m, 0.0, 0.0]))
     size_px, none = (rig.width_px, rig.height_px), np.zeros(4)
     calibration = StereoCalibration(rig.K, rig.K, none, none, np.eye(4), X_BC1, *size_px)
     effects = calibration_effects(calibration, make_rectifier(calibration), poses_stated=False)
+    return replace(sequence, tracks=replace(sequence.tracks, calibration=effects))
+
+
+def with_errors(sequence: SyntheticSequence, seed: int, size: float = 1.0) -> tuple[SyntheticSequence, Array]:
+    """A calibrated sequence with errors drawn from these sigmas, times a size; the draw (c,)."""
+    tracks, effects = sequence.tracks, sequence.tracks.calibration
     assert effects is not None
-    tracks = replace(sequence.tracks, calibration=effects)
-    if z is not None:
-        X_RG = inverse_pose(sequence.X_NR) @ sequence.X_NG
-        p_R = transform_points(X_RG[tracks.frame], sequence.p_G[tracks.landmark][:, None])[:, 0]
-        tracks = replace(tracks, uvd_px=tracks.uvd_px + effects.at(rig, p_R) @ z)
-    return replace(sequence, tracks=tracks)
+    z: Array = size * np.random.default_rng([seed, 9]).normal(size=effects.left.shape[2])
+    X_RG = inverse_pose(sequence.X_NR) @ sequence.X_NG
+    p_R = transform_points(X_RG[tracks.frame], sequence.p_G[tracks.landmark][:, None])[:, 0]
+    uvd_px = tracks.uvd_px + effects.at(tracks.rig, p_R) @ z
+    return replace(sequence, tracks=replace(tracks, uvd_px=uvd_px)), z
 
 
 def cold_start(sequence: SyntheticSequence, config: Backend) -> MotionFit:

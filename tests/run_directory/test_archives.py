@@ -48,9 +48,10 @@ def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Pat
     # a known wrench, no observation, and what a run did not reach
     wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
     none = {name: getattr(example.tracks, name)[:0] for name in ("frame", "landmark", "uvd_px", "sigma_px")}
-    rng, poses = np.random.default_rng(0), np.ones((4, 3, 2))
-    terms = rng.normal(size=(2, int(kept_terms().sum()), 2, 2))
-    effects = CalibrationEffects("a guess", *terms, *poses[:2], np.array([0.0, 1e-3]), *poses[2:], True)
+    rng, later_s = np.random.default_rng(0), np.array([0.0, 1e-3])
+    left, right = rng.normal(size=(2, int(kept_terms().sum()), 2, 2))
+    shift, turn = rng.normal(size=(2, 3, 2))
+    effects = CalibrationEffects("a guess", left, right, shift, turn, later_s, turn, shift, has_ranges=True)
     more = ({"wrench": wrench}, {"calibration": effects}, none)
     for given in (replace(example.tracks, **changes) for changes in more):
         write_measurements(given, file)

@@ -63,7 +63,8 @@ def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:
     contents = [content for path in paths if (content := _content(path, KINDS)) is not None]
     if len(contents) == len(paths):
         if len(paths) == 1 and _is_kalibr(contents[0]):
-            return Rig(*_read_kalibr(paths[0], contents[0], stereo=True))
+            left, right = _read_kalibr(paths[0], contents[0], stereo=True)
+            return Rig(left, right)
         if all(is_camera_info(content) for content in contents):
             if len(paths) == 1:
                 raise InputError(f"{paths[0]}: the camera_info of one camera; give those of both: LEFT RIGHT")

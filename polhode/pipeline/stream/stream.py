@@ -129,6 +129,8 @@ class _Past:
     states: list[OnlineState] = field(default_factory=list)
     first_known: tuple[OnlineState, Array] | None = None
     """The first state of which something is determined, and X_NR there"""
+    before: tuple[OnlineState, Array] | None = None
+    """The latest state, and X_NR there"""
     first_X_NR: Array | None = None
 
 
@@ -272,9 +274,9 @@ class Stream:
         past.first_X_NR = X_NR if past.first_X_NR is None else past.first_X_NR
         if past.first_known is None and np.isfinite(np.diagonal(state.covariance)).any():
             past.first_known = state, X_NR
-        rows, X = [state], [X_NR]
-        if past.first_known is not None:
-            rows, X = [past.first_known[0], state], [past.first_known[1], X_NR]
+        earlier = [row for row in (past.first_known, past.before) if row is not None]
+        past.before = state, X_NR
+        rows, X = [*(row[0] for row in earlier), state], [*(row[1] for row in earlier), X_NR]
         online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._config.backend, self._effects)
         if self._camera.wrench is not None:
             online = without_claims_after_torques(online, self._camera.wrench)

@@ -19,7 +19,16 @@ from polhode.config.backend_settings import Backend, Window
 from polhode.geometry.lie import Array, log_so3
 from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
-from tests.backend.motions import BOX, at_truth, calibrated, deviations, estimated, nees, state_errors
+from tests.backend.motions import (
+    BOX,
+    at_truth,
+    calibrated,
+    deviations,
+    estimated,
+    nees,
+    state_errors,
+    with_errors,
+)
 
 PARTS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 SCENE = SyntheticScene(
@@ -50,10 +59,10 @@ def responses(fit: MotionFit, m: Marginals, factor: Array) -> Array:
 
 
 def test_the_solution_moves_as_the_response_says() -> None:
-    sequence = generate(SCENE, 1)
-    z = np.random.default_rng(2).normal(size=calibrated(sequence).tracks.calibration.left.shape[2])
-    right, wrong = solved(calibrated(sequence)), solved(calibrated(sequence, 0.1 * z))
-    d, effect = right.data, whitened_effects(right, calibrated(sequence).tracks)
+    sequence = calibrated(generate(SCENE, 1))
+    other, z = with_errors(sequence, 2, size=0.1)
+    right, wrong = solved(sequence), solved(other)
+    d, effect = right.data, whitened_effects(right, sequence.tracks)
     m = marginals(right, np.ones(len(d.frame)), None, effect)
     # errors that depend on one another change the covariance, not the solution nor how it moves
     dependent = DependentErrors(
@@ -62,18 +71,13 @@ def test_the_solution_moves_as_the_response_says() -> None:
     with_more = marginals(right, np.ones(len(d.frame)), dependent, effect)
     np.testing.assert_allclose(with_more.by_calibration, m.by_calibration, rtol=1e-9, atol=1e-15)
     (a, R_a), (b, R_b) = body_states(right), body_states(wrong)
-    change = responses(right, m, m.by_calibration @ (0.1 * z[:, None]))[:, :, 0]
+    change = responses(right, m, m.by_calibration @ z[:, None])[:, :, 0]
     for at in (slice(0, 3), slice(3, 6)):
         np.testing.assert_allclose((b - a)[:, at], change[:, at], atol=0.03 * np.abs(change[:, at]).max())
     # attitudes: G is free to turn, alike in all frames
     turn = log_so3(np.swapaxes(R_a, 1, 2) @ R_b)
     free = np.mean(turn - change[:, 6:9], axis=0)
     assert np.abs(turn - change[:, 6:9] - free).max() < 0.05 * np.abs(change[:, 6:9]).max()
-    # landmarks move alike, seen from the first frame, which holds G
-    moved = (wrong.iterate.p_G @ R_b[0].T + wrong.iterate.p_NG[0]) - (
-        right.iterate.p_G @ R_a[0].T + right.iterate.p_NG[0]
-    )
-    assert np.sqrt(np.mean(moved**2)) < 5.0 * 0.1 * np.sqrt(np.mean(np.trace(m.landmarks, axis1=1, axis2=2)))
 
 
 def test_errors_drawn_from_the_prior_are_covered_and_without_the_calibration_they_are_not() -> None:
@@ -84,9 +88,7 @@ def test_errors_drawn_from_the_prior_are_covered_and_without_the_calibration_the
     scene = replace(SCENE, links=True)
     squares, missed, online_off = [], [], []
     for seed in range(3):
-        sequence = generate(scene, seed)
-        c = calibrated(sequence).tracks.calibration.left.shape[2]
-        wrong = calibrated(sequence, np.random.default_rng([seed, 9]).normal(size=c))
+        wrong, _ = with_errors(calibrated(generate(scene, seed)), seed)
         found = estimated(wrong, config)
         assert found.calibration is not None
         errors, own = state_errors(wrong, found), found.calibration.last_joint[:12, :12]
