@@ -86,14 +86,14 @@ def test_errors_drawn_from_the_prior_are_covered_and_without_the_calibration_the
         systematic_px=(0.0, 0.0, 0.0), light_px=0.0, window=Window(solver="gauss_newton"),
     )  # fmt: skip
     scene = replace(SCENE, links=True, camera_moves=False)
-    squares, missed, online_off = [], [], []
+    squares, within, missed, online_off = [], [], [], []
     for seed in range(3):
         wrong, _ = with_errors(calibrated(generate(scene, seed)), seed)
         found = estimated(wrong, config)
         assert found.calibration is not None
         errors, own = state_errors(wrong, found), found.calibration.last_joint[:12, :12]
         squares.append([nees(errors[:, at], found.covariance[:, at, at]) for at in PARTS])
-        assert np.abs(deviations(wrong, found)).max() < 4.0
+        within.append(np.abs(deviations(wrong, found)) < 3.0)
         images = found.covariance[-1] - own
         assert np.linalg.eigvalsh(images)[0] > -1e-9 * np.trace(images)
         missed.append(np.abs(errors[-1, :3]) / np.sqrt(np.diag(images)[:3]))
@@ -103,6 +103,6 @@ def test_errors_drawn_from_the_prior_are_covered_and_without_the_calibration_the
             online_off.append(off / np.sqrt(np.diag(online.covariance[-1])[:6]))
             ratio = np.sqrt(np.diag(online.covariance[-1]) / np.diag(found.covariance[-1]))
             assert (ratio[:9] > 0.8).all() and (ratio[:9] < 1.5).all()
-    assert np.abs(online_off).max() < 4.0
+    assert np.mean(within) >= 0.99 and np.abs(online_off).max() < 4.0
     assert (np.mean(squares, axis=0) > 0.1).all() and (np.mean(squares, axis=0) < 2.5).all()
     assert np.max(missed) > 5.0
