@@ -88,7 +88,7 @@ def with_errors(sequence: SyntheticSequence, seed: int, size: float = 1.0) -> tu
     """A calibrated sequence with errors drawn from these sigmas, times a size; the draw (c,)."""
     tracks, effects = sequence.tracks, sequence.tracks.calibration
     assert effects is not None
-    z = np.random.default_rng([seed, 9]).normal(0.0, size, effects.left.shape[2])
+    z = np.random.default_rng([seed, 9]).normal(0.0, size, int(effects.left.shape[2]))
     X_RG = inverse_pose(sequence.X_NR) @ sequence.X_NG
     p_R = transform_points(X_RG[tracks.frame], sequence.p_G[tracks.landmark][:, None])[:, 0]
     uvd_px = tracks.uvd_px + effects.at(tracks.rig, p_R) @ z
