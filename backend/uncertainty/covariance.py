@@ -72,11 +72,6 @@ class Marginals:
     """(s F + 8, c) change of states and constants by one sigma of each of c errors of the calibration, whose
     covariance ``dense`` and ``landmarks`` contain"""
 
-    @property
-    def of_calibration(self) -> Array:
-        """(s F + 8, s F + 8) part of ``dense``."""
-        return self.by_calibration @ self.by_calibration.T
-
 
 def marginals(
     fit: MotionFit, weight: Array, errors: DependentErrors | None = None, calibration: Array | None = None
