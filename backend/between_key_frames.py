@@ -31,15 +31,18 @@ from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.gauss_newton import WeakPrior
 from polhode.backend.solvers.linearization_point import (
     LinearizationPoint,
+    MotionFit,
     linearization_point,
     recenter_inertia,
 )
 from polhode.backend.solvers.robust_kernel import robust_weight
 from polhode.backend.solvers.schur import stereo_normal_equations, stereo_residuals
 from polhode.backend.subset_solution import data_of_part
+from polhode.backend.uncertainty.calibration_response import LinearObservations, whitened_effects
 from polhode.backend.uncertainty.covariance import (
     body_jacobians,
     mark_jacobians,
+    observation_jacobians,
     state_jacobians,
     with_constants,
     with_infinite,
@@ -84,6 +87,8 @@ class FixedMap:
     """(L, 3) [m]"""
     covariance: Array
     """(L, 3, 3) [m^2] given the key frames' poses"""
+    by_calibration: Array
+    """(L, 3, c) [m] change by one sigma of each error of the calibration"""
 
 
 def map_of(tracks: StereoTracks, estimate: MotionEstimate, keys: Ints, config: Backend) -> FixedMap:
@@ -108,11 +113,22 @@ def map_of(tracks: StereoTracks, estimate: MotionEstimate, keys: Ints, config: B
         sigma_px=tracks.sigma_px[rows], timestamps_ns=tracks.timestamps_ns[keys], X_NR=tracks.X_NR[keys],
     )  # fmt: skip
     data, _ = data_of_part(part, estimate, config)
-    A = data.R_RN @ estimate.X_NG[:, :3, :3]
-    J = data.point_jacobians(A, estimate.X_NG[:, :3, 3], p_G) @ A[data.frame]
+    R_NG = estimate.X_NG[:, :3, :3]
+    w_G = estimate.w_P @ estimate.mass.R_GP.T
+    poses = Iterate(
+        estimate.X_NG[:, :3, 3], R_NG, estimate.v_N, w_G, estimate.mass.com_G, np.zeros(5), np.eye(3), p_G
+    )
+    fit = MotionFit(data, poses)
+    to_pose, J = observation_jacobians(fit)
     information = np.zeros((len(names), 3, 3))
     np.add.at(information, data.landmark, np.swapaxes(J, 1, 2) @ J)
-    return FixedMap(names.astype(np.int64), p_G, np.asarray(np.linalg.inv(information), dtype=np.float64))
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    moved = np.zeros((len(names), 3, 0))
+    if estimate.calibration is not None:
+        effect, weight = whitened_effects(fit, part), np.ones(len(data.frame))
+        seen = LinearObservations(to_pose, J, weight, effect, data.frame, data.landmark)
+        moved = seen.landmark_moves(covariance, estimate.calibration.poses)
+    return FixedMap(names.astype(np.int64), p_G, covariance, moved)
 
 
 def first_states(
@@ -272,6 +288,8 @@ class _Chain:
         joint[:, :s, s:], joint[:, s:, :s] = by_constants, np.swapaxes(by_constants, 1, 2)
         joint[:, s:, s:] = constants
         joint += self._map_errors(system, response)
+        by_calibration = self._calibration_errors(at, tracks, system, response)
+        joint += by_calibration @ np.swapaxes(by_calibration, 1, 2)
         derivative = axes_derivative(self.data.form, at)
         turn = nearest_half_turn(derivative.R_GP, of_keys.mass.R_GP)
         R_GP = derivative.R_GP @ turn
@@ -285,6 +303,11 @@ class _Chain:
         body = with_constants(body_jacobians(at, self.data.camera_N)[-1], joint[-1])
         of_marks = mark_jacobians(at, R_GP, self.data.camera_N)
         last = with_constants(np.diag(flip) @ T[-1], joint[-1])
+        calibration = of_keys.calibration
+        if calibration is not None:
+            share = by_calibration[-1] @ by_calibration[-1].T
+            last_joint = with_constants(np.diag(flip) @ T[-1], share)
+            calibration = replace(calibration, last_joint=last_joint, poses=by_calibration[:, POSE])
         last_lost = np.isinf(np.diagonal(of_keys.covariance_last_joint))
         to_G = np.zeros((n, N_POSE, N_POSE))
         to_G[:, POSITION, POSITION] = np.swapaxes(at.R_NG, 1, 2)
@@ -309,9 +332,10 @@ class _Chain:
             covariance_of_marks=of_marks @ joint @ np.swapaxes(of_marks, 1, 2),
             residuals_px=self.data.unsorted(r / self.data.inv_sigma),
             inlier_weight=self.data.unsorted(weight),
+            calibration=calibration,
         )
         # the mass properties of the key frames have the errors that all frames share already
-        shared = SharedErrors(config.systematic_px, config.focal_error)
+        shared = SharedErrors(config.systematic_px)
         return replace(with_systematic(found, tracks, shared), mass=of_keys.mass)
 
     def _map_errors(self, system: "_System", response: Array) -> Array:
@@ -323,12 +347,22 @@ class _Chain:
         )
         pull = np.zeros((n, s, DRAWS))
         np.add.at(pull[:, POSE], d.frame, system.E @ errors[d.landmark])
-        alone = -_solve_chain(system.D, system.U, pull)
-        force = np.einsum("fsc,fsr->cr", system.across, alone)
-        constants = -np.linalg.solve(system.of_constants(response), force)
-        effect = np.empty((n, s + N_CONSTANTS, DRAWS))
-        effect[:, :s], effect[:, s:] = alone + response @ constants, constants
+        effect = system.moved_by(pull, response)
         return np.asarray(effect @ np.swapaxes(effect, 1, 2) / DRAWS)
+
+    def _calibration_errors(
+        self, at: Iterate, tracks: StereoTracks, system: "_System", response: Array
+    ) -> Array:
+        """Changes (F, s + 8, c) of states and constants by one sigma of each error of the calibration."""
+        d, fit = self.data, MotionFit(self.data, at)
+        effect, moved = whitened_effects(fit, tracks), self.known.by_calibration
+        if not moved.shape[2]:
+            return np.zeros((at.n_frames, at.n_state + N_CONSTANTS, 0))
+        weight = robust_weight(np.sum(self.residuals(at) ** 2, axis=1), d.robust_scale)
+        seen = LinearObservations(*observation_jacobians(fit), weight, effect, d.frame, d.landmark)
+        pull = np.zeros((at.n_frames, at.n_state, effect.shape[2]))
+        pull[:, POSE] = seen.gradient(moved, at.n_frames)
+        return system.moved_by(pull, response)
 
 
 @dataclass(frozen=True)
@@ -351,6 +385,14 @@ class _System:
     def of_constants(self, response: Array) -> Array:
         """Information (8, 8) on the constants, the states eliminated; response (F, s, 8) of the states."""
         return np.asarray(self.H_c + np.einsum("fsc,fsd->cd", self.across, response))
+
+    def moved_by(self, pull: Array, response: Array) -> Array:
+        """Changes (F, s + 8, c) of states and constants by changes (F, s, c) of the states' gradient."""
+        alone = -_solve_chain(self.D, self.U, pull)
+        force = np.einsum("fsc,fsr->cr", self.across, alone)
+        constants = -np.linalg.solve(self.of_constants(response), force)
+        everywhere = np.broadcast_to(constants, (len(pull), *constants.shape))
+        return np.concatenate([alone + response @ constants, everywhere], axis=1)
 
     def step(self) -> Array:
         """The Gauss-Newton step (s F + 8,)."""

@@ -178,9 +178,10 @@ def _hypothesis(
             pruned = _with_level(pruned)
         ended = solve(pruned.small, config.model_copy(update={"solver": "gauss_newton"}))
         whole = pruned.with_solution(ended.iterate)
-        return assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
+        found_motion = assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
     except (RunFailure, LinAlgError):
         return None
+    return with_systematic(found_motion, tracks, SharedErrors(config.systematic_px))
 
 
 def _replace_landmarks(stated: MotionData, tracks: StereoTracks, found: PrunedFit) -> MotionFit:
@@ -277,7 +278,7 @@ def _estimate(
         runner_up=runner_up | found.wrench_runner_up,
         ipopt=solution.program,
     )
-    estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px, config.focal_error))
+    estimate = with_systematic(estimate, tracks, SharedErrors(config.systematic_px))
     stronger = disturbance_ratio(whole.data, config.accel_psd, config.torque_psd)
     much_disturbed = stronger >= SUSPICIOUS_RATIO
     rotations = open_rotations(found.choice, trials, data.dt_s, much_disturbed, config.max_rpm is not None)

@@ -1,5 +1,7 @@
 """From the solution to the estimate that is reported: states in P, covariances, identifiability, warnings."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from polhode.backend.dynamics.residuals import FrameStates
@@ -12,10 +14,11 @@ from polhode.backend.outliers_and_noise.correlated_noise import (
 )
 from polhode.backend.outliers_and_noise.noise_and_outliers import PrunedFit, whitened_residuals
 from polhode.backend.outliers_and_noise.systematic import common_slide
-from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, XI
+from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, N_CONSTANTS, POSE, XI
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
+from polhode.backend.uncertainty.calibration_response import whitened_effects
 from polhode.backend.uncertainty.covariance import (
     DependentErrors,
     Marginals,
@@ -26,9 +29,15 @@ from polhode.backend.uncertainty.covariance import (
     pose_covariances,
     state_covariances,
     state_jacobians,
+    with_constants,
     with_infinite,
 )
-from polhode.backend.uncertainty.identifiability import IdentifiabilityAnalysis, analyse, undetermined_states
+from polhode.backend.uncertainty.identifiability import (
+    IdentifiabilityAnalysis,
+    analyse,
+    undetermined_states,
+    with_more,
+)
 from polhode.backend.uncertainty.principal_axes import (
     AxesDerivative,
     axes_derivative,
@@ -41,6 +50,7 @@ from polhode.backend.wrenches.unknown_wrench import describe_impulse, estimate_i
 from polhode.config.backend_settings import CorrelatedErrors
 from polhode.geometry.lie import Array, Bools, make_pose
 from polhode.records.estimate import (
+    CalibrationPart,
     Identifiability,
     InitialMotion,
     Landmarks,
@@ -73,11 +83,11 @@ def assemble(
     weight = np.where(kept.observations, robust_weight(squares, data.robust_scale), 0.0)
     s = np.sum(residuals[kept.observations] ** 2, axis=1)
     correlated, errors = _dependent_errors(small, correlated_errors, light_px)
-    m = marginals(small, robust_information(s, data.robust_scale), errors)
+    m = marginals(small, robust_information(s, data.robust_scale), errors, whitened_effects(small, tracks))
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP
-    determined = analyse(m.constants_information, derivative, w_P)
+    determined = _with_calibration(analyse(m.constants_information, derivative, w_P), small, m, derivative)
     covariance, joint = _state_covariances(small, m, derivative, determined, w_P)
     true = FrameStates.of(iterate, data.camera_N)
     mass = with_absolute_scale(_mass(small, m, derivative, determined), small, m, derivative)
@@ -122,7 +132,34 @@ def assemble(
         solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(small, s)),
         warnings=tuple(warnings),
         disturbances=disturbances,
+        calibration=_calibration_part(tracks, small, m, derivative),
     )
+
+
+def _calibration_part(
+    tracks: StereoTracks, fit: MotionFit, m: Marginals, derivative: AxesDerivative
+) -> CalibrationPart | None:
+    if tracks.calibration is None:
+        return None
+    iterate, (n, s) = fit.iterate, (fit.iterate.n_states, fit.iterate.n_state)
+    poses = m.by_calibration[:n].reshape(iterate.n_frames, s, -1)[:, POSE]
+    at = np.r_[n - s : n, n : n + N_CONSTANTS]
+    last, of_J = m.by_calibration[at], m.by_calibration[n + 3 : n + N_CONSTANTS]
+    T = state_jacobians(iterate, derivative, fit.data.camera_N)[-1]
+    k, axes = derivative.ratios @ of_J, derivative.axes @ of_J
+    return CalibrationPart(
+        tracks.calibration.source, with_constants(T, last @ last.T), k @ k.T, axes @ axes.T, poses
+    )
+
+
+def _with_calibration(
+    found: IdentifiabilityAnalysis, fit: MotionFit, m: Marginals, derivative: AxesDerivative
+) -> IdentifiabilityAnalysis:
+    """Sigmas and descriptions with the calibration's part; what is determined is judged without it."""
+    n = fit.iterate.n_states
+    of_J = m.by_calibration[n + 3 : n + N_CONSTANTS]
+    moves = derivative.R_GP.T @ m.by_calibration[n : n + 3], derivative.ratios @ of_J, derivative.axes @ of_J
+    return replace(found, record=with_more(found.record, np.linalg.norm(np.vstack(moves), axis=1)))
 
 
 def _dependent_errors(

@@ -37,8 +37,9 @@ def estimate_part(
     """The estimate of some observations (M,) of ``tracks``, its states in some frames (n,), ascending.
 
     Frames without chosen observations are bridged by the dynamics, with the covariance that this gives.
-    Noise, unknown disturbances and outliers are the whole's. Errors that all landmarks share are not in the
-    covariance, as parts that are compared have the same ones. None: too few observations, or no solution.
+    Noise, unknown disturbances and outliers are the whole's. Errors that all landmarks share, and those of
+    the calibration, are not in the covariance, as parts that are compared have the same ones. None: too few
+    observations, or no solution.
     """
     posed = _posed(tracks, whole, config, rows, frames)
     if posed is None:
@@ -98,6 +99,7 @@ def _posed(
         landmark=landmark.astype(np.int64),
         uvd_px=tracks.uvd_px[rows],
         sigma_px=tracks.sigma_px[rows],
+        calibration=None,
     )
     data, scales = data_of_part(part, whole, config)
     xi, R_inertia = data.form.coordinates(second_moments_from_inertia(whole.mass.J_G, 0.0))

@@ -5,6 +5,7 @@ relative poses for the back end, and depth maps for the mapping.
 
 extract.py          features and depth maps of every pair, in parallel processes
 rectification.py    images of any rig as those of an ideal one
+calibration_effects.py   what errors of the calibration do to rectified measurements
 segmentation.py     the target's mask before a dark sky
 found_masks.py      masks that were found before another background
 background/         how they are found: the background's plane, and what stands before it

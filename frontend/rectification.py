@@ -140,7 +140,7 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
         return Rectifier(rig, np.eye(4), None, sizes)
     R_CR = _rectified_axes(X_CD)
     R_DR = X_CD[:3, :3].T @ R_CR
-    lenses = [_Lens.of(calibration, camera) for camera in (0, 1)]
+    lenses = [Lens.of(calibration, camera) for camera in (0, 1)]
     focal = float(np.mean([lens.K[i, i] for lens in lenses for i in (0, 1)]))
     boxes = [_image_bounds(lens, R, focal) for lens, R in zip(lenses, (R_CR, R_DR), strict=True)]
     largest = np.max([lens.size_px for lens in lenses], axis=0)
@@ -172,7 +172,7 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
 
 
 @dataclass(frozen=True)
-class _Lens:
+class Lens:
     """One camera without its pose."""
 
     K: Array
@@ -181,10 +181,17 @@ class _Lens:
     size_px: tuple[int, int]
 
     @classmethod
-    def of(cls, calibration: StereoCalibration, camera: int) -> "_Lens":
+    def of(cls, calibration: StereoCalibration, camera: int) -> "Lens":
         if camera == 0:
             return cls(calibration.K0, calibration.dist0, calibration.fisheye0, calibration.size_px(0))
         return cls(calibration.K1, calibration.dist1, calibration.fisheye1, calibration.size_px(1))
+
+    def project(self, rays: Array) -> Array:
+        """Pixels (n, 2), distorted, of rays (n, 3) in this camera; NaN beyond what a fisheye shows."""
+        if self.fisheye:
+            return fisheye.project(rays, self.K, self.dist)
+        uv, _ = cv2.projectPoints(np.ascontiguousarray(rays), np.zeros(3), np.zeros(3), self.K, self.dist)
+        return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -335,7 +342,7 @@ def _rectified_axes(X_CD: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _image_bounds(lens: _Lens, R: Array, focal: float) -> Array:
+def _image_bounds(lens: Lens, R: Array, focal: float) -> Array:
     """Bounds (2, 2) [px] (low, high) of the image's border in rectified coordinates before centring."""
     width, height = lens.size_px
     u, v = np.linspace(0, width - 1, 24), np.linspace(0, height - 1, 24)
@@ -356,7 +363,7 @@ def _image_bounds(lens: _Lens, R: Array, focal: float) -> Array:
     return np.stack([rectified.min(axis=0), rectified.max(axis=0)])
 
 
-def _fisheye_slopes(border: Array, lens: _Lens, R: Array) -> Array:
+def _fisheye_slopes(border: Array, lens: Lens, R: Array) -> Array:
     """Pixels (n, 2) of a fisheye -> x / z and y / z (n, 2) along axes rotated by R, within MAX_FIELD_RAD.
 
     Raises InputError when the distortion folds the inner part of the image.
@@ -391,7 +398,7 @@ def _require_invertible(pixels: Array, rays: Array, K: Array, dist: Array, R: Ar
 
 
 def _pixel_map(
-    lens: _Lens, R: Array, K_new: Array, size: tuple[int, int]
+    lens: Lens, R: Array, K_new: Array, size: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     if lens.fisheye:
         v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)

@@ -1,10 +1,13 @@
 """Errors that all landmarks share: no residual shows them, and no solver's covariance includes them.
 
-A camera matrix that is off by a hundredth of a pixel, or a matcher that reads every disparity slightly too
-small, shifts the whole target. The effect of such an offset of u, v and disparity on a point at the target's
-position is added to the covariance of the position; attitude, rates and inertia are hardly affected. The
-frame G is fixed where the first pose was seen, not where it was: the centre of mass in G is off by the same
-shift.
+A matcher that reads every disparity slightly too small shifts the whole target. The effect of such an offset
+of u, v and disparity on a point at the target's position is added to the covariance of the position;
+attitude, rates and inertia are hardly affected. The frame G is fixed where the first pose was seen, not where
+it was: the centre of mass in G is off by the same shift.
+
+Errors of the calibration move the solution of all frames as ``uncertainty/calibration_response.py`` has it.
+The causal estimate has no such solution: there the field of shifts of a point about the target's place moves
+the state: its value the position, its change along the way the velocity, its rotation the attitude.
 
 The points that features mark on a shaded surface slide along it with the light. The Sun moves all of them
 alike, in a direction that is fixed in N, while the body turns: this looks like a shift of the target, and, as
@@ -16,9 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend.solvers.linearization_point import MotionFit
-from polhode.backend.uncertainty.identifiability import NAMES, determined_description
+from polhode.backend.uncertainty.identifiability import with_more
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, hat, inverse_pose, transform_points
+from polhode.geometry.lie import Array, hat, inverse_pose, log_so3, transform_points
+from polhode.records.calibration_effects import CalibrationEffects
 from polhode.records.estimate import Identifiability, MassProperties, MotionEstimate, OnlineEstimate
 from polhode.records.tracks import StereoTracks
 
@@ -29,8 +33,6 @@ class SharedErrors:
 
     offset_px: tuple[float, float, float]
     """of u, v, disparity"""
-    focal_error: float = 0.0
-    """of the focal length, relative"""
     slide_px: float = 0.0
     """of a slide along each axis of N, in the image"""
 
@@ -52,16 +54,53 @@ def common_slide(fit: MotionFit, to_landmark: Array, sigma_px: float) -> Array:
 
 
 def position_spread(rig: RectifiedRig, X_NR: Array, r_N: Array, shared: SharedErrors) -> Array:
-    """Shifts (F, 3, 7) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
+    """Shifts (F, 3, 6) in N [m] of positions r_N (F, 3) for one sigma of each error; X_NR (F, 4, 4).
 
-    Three offsets of u, v and disparity, three slides along the axes of N, and the relative error of the focal
-    length, which stretches the depth alone: x = (u - cx) b / d does not depend on it.
+    Three offsets of u, v and disparity, three slides along the axes of N.
     """
     r_R = transform_points(inverse_pose(X_NR), r_N[:, None])[:, 0]
     offsets = X_NR[:, :3, :3] @ rig.triangulation_jacobian(r_R) * np.asarray(shared.offset_px)
     slide_m = shared.slide_px * r_R[:, 2] / rig.focal_px
-    stretch = shared.focal_error * r_R[:, 2, None, None] * X_NR[:, :3, 2, None]
-    return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3), stretch], axis=2)
+    return np.concatenate([offsets, slide_m[:, None, None] * np.eye(3)], axis=2)
+
+
+def calibration_spread(
+    rig: RectifiedRig, effects: CalibrationEffects, X_NR: Array, online: OnlineEstimate
+) -> Array:
+    """Errors (F, 9, 2 c) of r_N, v_N, theta_P for one sigma of each error of the calibration.
+
+    The second half of the columns is what the strain of the field turns: a part of the body that faces the
+    camera as a plane turns with it, a whole body does not, and what is seen lies between.
+    """
+    R_RN = np.swapaxes(X_NR[:, :3, :3], 1, 2)
+    r_R = transform_points(inverse_pose(X_NR), online.r_N[:, None])[:, 0]
+    # of the camera since the row before
+    dt_s = np.maximum(1e-9 * np.diff(online.timestamps_ns), 1e-9)[:, None]
+    turning_R, moving_N = np.zeros((2, len(X_NR), 3))
+    turning_R[1:] = log_so3(R_RN[:-1] @ X_NR[1:, :3, :3]) / dt_s
+    moving_N[1:] = np.diff(X_NR[:, :3, 3], axis=0) / dt_s
+    v_R = np.einsum("fij,fj->fi", R_RN, online.v_N - moving_N) - np.cross(turning_R, r_R)
+
+    def shift(p_R: Array) -> Array:
+        return rig.triangulation_jacobian(p_R) @ effects.at(rig, p_R, v_R)
+
+    at = shift(r_R)
+    step = 1e-3 * r_R[:, 2, None] * np.eye(3)[:, None]
+    # (F, 3, 3, c): change along the second axis
+    slope = np.stack([shift(r_R + e) - shift(r_R - e) for e in step], axis=2)
+    slope /= 2e-3 * r_R[:, 2, None, None, None]
+    pairs = ((2, 1), (0, 2), (1, 0))
+    turn = 0.5 * np.stack([slope[:, a, b] - slope[:, b, a] for a, b in pairs], axis=1)
+    strain = [0.5 * (slope[:, a, b] + slope[:, b, a]) for a, b in pairs[:2]]
+    wobble = np.stack([strain[0], -strain[1], np.zeros_like(strain[0])], axis=1)
+    spread = np.zeros((len(at), 9, 2 * at.shape[2]))
+    c = at.shape[2]
+    spread[:, :3, :c] = X_NR[:, :3, :3] @ at
+    changing = np.einsum("fijc,fj->fic", slope, v_R) + hat(turning_R) @ at
+    spread[:, 3:6, :c] = X_NR[:, :3, :3] @ changing
+    to_P = np.swapaxes(online.R_NP, 1, 2) @ X_NR[:, :3, :3]
+    spread[:, 6:, :c], spread[:, 6:, c:] = to_P @ turn, to_P @ wobble
+    return spread
 
 
 def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, shared: SharedErrors) -> MotionEstimate:
@@ -93,25 +132,31 @@ def _of_marks(estimate: MotionEstimate, spread: Array, in_G: Array) -> Array:
 
 
 def _inflated_verdict(mass: MassProperties, in_G: Array) -> Identifiability:
-    """Identifiability with the sigmas and descriptions of a centre of mass with errors in_G (3, n) added."""
-    known = mass.identifiable
-    sigma, detail = known.sigma.copy(), dict(known.detail)
-    sigma[:3] = np.hypot(sigma[:3], np.linalg.norm(mass.R_GP.T @ in_G, axis=1))
-    detail |= {NAMES[n]: determined_description(n, sigma[n]) for n in range(3) if np.isfinite(sigma[n])}
-    return replace(known, sigma=sigma, detail=detail)
+    """Identifiability with errors in_G (3, n) of the centre of mass added."""
+    return with_more(mass.identifiable, np.append(np.linalg.norm(mass.R_GP.T @ in_G, axis=1), np.zeros(5)))
 
 
 def online_with_systematic(
-    online: OnlineEstimate, rig: RectifiedRig, X_NR: Array, shared: SharedErrors
+    online: OnlineEstimate,
+    rig: RectifiedRig,
+    X_NR: Array,
+    shared: SharedErrors,
+    calibration: CalibrationEffects | None = None,
 ) -> OnlineEstimate:
-    """The causal estimate with systematic errors in the covariances of positions and centre of mass.
+    """The causal estimate with systematic errors in the covariances of states and centre of mass.
 
-    X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself and the first known one only.
+    X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself, the one before
+    and the first known one only.
     """
     spread = position_spread(rig, X_NR, online.r_N, shared)
+    if calibration is not None:
+        more = calibration_spread(rig, calibration, X_NR, online)
+        wide = np.zeros((len(spread), 9, spread.shape[2] + more.shape[2]))
+        wide[:, :3, : spread.shape[2]], wide[:, :, spread.shape[2] :] = spread, more
+        spread = wide
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
-    in_G = online.X_NG[first, :3, :3].T @ spread[first]
+    in_G = online.X_NG[first, :3, :3].T @ spread[first, :3]
     return replace(
         online,
         covariance=_inflated_each(online.covariance, spread),

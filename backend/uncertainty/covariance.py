@@ -24,6 +24,7 @@ from polhode.backend.problem.iterate import (
     ERR_W,
     N_CONSTANTS,
     N_STATE,
+    POSE,
     POSITION,
     RATE,
     ROTATION,
@@ -34,6 +35,7 @@ from polhode.backend.problem.wrench import LN_MASS, LN_SCALE
 from polhode.backend.solvers.gauss_newton import GaussNewton, NormalEquations
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.backend.solvers.schur import correlated_scores, landmark_covariances, mirror
+from polhode.backend.uncertainty.calibration_response import LinearObservations
 from polhode.backend.uncertainty.principal_axes import AxesDerivative
 from polhode.geometry.lie import Array, Bools, exp_so3, hat, right_jacobian_so3
 
@@ -66,12 +68,19 @@ class Marginals:
     """(2, 2) of the logarithms of the inertia's scale and of the mass, everything else eliminated"""
     response: Array
     """(s F, 8) change of the states per change of com_G and xi, everything else fitted again"""
+    by_calibration: Array
+    """(s F + 8, c) change of states and constants by one sigma of each of c errors of the calibration, whose
+    covariance ``dense`` and ``landmarks`` contain"""
 
 
-def marginals(fit: MotionFit, weight: Array, errors: DependentErrors | None = None) -> Marginals:
+def marginals(
+    fit: MotionFit, weight: Array, errors: DependentErrors | None = None, calibration: Array | None = None
+) -> Marginals:
     """Invert the information at a solution; weight (M,) is the information contributed by each observation.
 
-    ``errors``: the solution still takes them as independent, its covariance does not.
+    ``errors``, and the effects ``calibration`` (M, 3, c) of one sigma of errors of the calibration on the
+    whitened observations: the solution does not know of them, its covariance does. What the motion determines
+    is judged without the calibration.
     """
     solver, fixed, x = GaussNewton(fit.data), fit.linearized(), fit.iterate.vector()
     bare = solver.normal_equations(fixed, x, weight, prior=False)
@@ -101,16 +110,33 @@ def marginals(fit: MotionFit, weight: Array, errors: DependentErrors | None = No
     response[:first] = follow @ response[of_camera]
     dense[:first] = follow @ dense[of_camera]
     dense[:, :first] = dense[:, of_camera] @ follow.T
-    d, own = fit.data, C_inv
+    d, own, of_states = fit.data, C_inv, dense[:, :n_states]
     if errors is not None:
         excess, own = _excess(errors, fit, weight, bare, C_inv)
-        of_states = dense[:, :n_states]
         dense = dense + of_states @ excess @ of_states.T
         dense = 0.5 * (dense + dense.T)
         excess_of_constants = response.T @ excess @ response
         information = _discounted(information, excess_of_constants, prior)
     marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, own, bare.n_state)
-    return _marginals_of_constants(dense, marks, information, prior, response)
+    moved = np.zeros((n, 0))
+    if calibration is not None and calibration.shape[2]:
+        moved, of_marks = _moved_by_calibration(fit, weight, calibration, of_states, C_inv)
+        dense, marks = dense + moved @ moved.T, marks + of_marks @ np.swapaxes(of_marks, 1, 2)
+    return _marginals_of_constants(dense, marks, information, prior, response, moved)
+
+
+def _moved_by_calibration(
+    fit: MotionFit, weight: Array, effect: Array, to_all: Array, C_inv: Array
+) -> tuple[Array, Array]:
+    """Changes (n, c) of states and constants, (L, 3, c) of landmarks; to_all (n, s F): inverse
+    information."""
+    d, at = fit.data, fit.iterate
+    seen = LinearObservations(*observation_jacobians(fit), weight, effect, d.frame, d.landmark)
+    gradient = np.zeros((at.n_frames, at.n_state, effect.shape[2]))
+    gradient[:, POSE] = seen.gradient(seen.landmark_moves(C_inv), at.n_frames)
+    moved = -to_all @ gradient.reshape(at.n_states, -1)
+    poses = moved[: at.n_states].reshape(at.n_frames, at.n_state, -1)[:, POSE]
+    return moved, seen.landmark_moves(C_inv, poses)
 
 
 def _excess(
@@ -159,11 +185,11 @@ def observation_jacobians(fit: MotionFit) -> tuple[Array, Array]:
 
 
 def _marginals_of_constants(
-    dense: Array, marks: Array, information: Array, prior: Array, response: Array
+    dense: Array, marks: Array, information: Array, prior: Array, response: Array, moved: Array
 ) -> Marginals:
     """Information on com_G and xi, and on mass and scale, each with all other constants eliminated."""
     if len(information) == N_CONSTANTS:
-        return Marginals(dense, marks, information, None, response)
+        return Marginals(dense, marks, information, None, response, moved)
     at = np.arange(len(information))
     body, rest = at[:N_CONSTANTS], at[N_CONSTANTS:]
     # with the weak prior of the others: what the wrench does not excite must not make the matrix singular
@@ -176,7 +202,7 @@ def _marginals_of_constants(
     )
     of_logs = information[np.ix_(logs, logs)] - information[np.ix_(logs, others)] @ follow_logs
     response = response[:, body] + response[:, rest] @ follow
-    return Marginals(dense, marks, 0.5 * (of_body + of_body.T), of_logs, response)
+    return Marginals(dense, marks, 0.5 * (of_body + of_body.T), of_logs, response, moved)
 
 
 def _first_pose_follows(iterate: Iterate, camera_N: Array) -> Array:

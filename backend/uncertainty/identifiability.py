@@ -6,7 +6,7 @@ nutation does not excite have 0.5 to 20 and more, those that a tumbling motion e
 (``tests/backend/uncertainty/test_identifiability.py`` has such motions).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -79,6 +79,15 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Ident
         sigma=np.where(good, total, np.inf),
     )
     return IdentifiabilityAnalysis(record, to_solver @ vectors[:, lost], to_solver[:, 5:][:, ~good[5:]])
+
+
+def with_more(known: Identifiability, sigma: Array) -> Identifiability:
+    """With further independent errors of standard deviations (8,), in the units of ``sigma``, in sigmas and
+    descriptions; what is determined stays so."""
+    both, detail = np.hypot(known.sigma, sigma), dict(known.detail)
+    changed = np.isfinite(both) & (sigma > 0.0)
+    detail |= {NAMES[n]: determined_description(n, both[n]) for n in np.flatnonzero(changed).tolist()}
+    return replace(known, sigma=both, detail=detail)
 
 
 def determined_description(n: int, sigma: float) -> str:

@@ -28,6 +28,7 @@ from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints, exp_so3, inverse_pose, make_pose, transform_points
 from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.records.calibration_effects import CalibrationEffects
 from polhode.records.estimate import MotionEstimate, OnlineEstimate
 from polhode.records.tracks import StereoTracks, Wrench
 from polhode.runtime.progress import Progress
@@ -233,20 +234,24 @@ def estimate_online(tracks: StereoTracks, config: Backend, progress: Progress) -
     _log.info("window: median %.0f ms a frame, %.1f s in all", 1e3 * np.median(seconds), sum(seconds))
     if window.answer is not None and window.updates:
         _log.info("window: %d of %d answers by IPOPT", window.answered, window.updates)
-    online = online_estimate(states, tracks.rig, tracks.X_NR, config)
+    online = online_estimate(states, tracks.rig, tracks.X_NR, config, tracks.calibration)
     return online if tracks.wrench is None else without_claims_after_torques(online, tracks.wrench)
 
 
 def online_estimate(
-    states: list[OnlineState], rig: RectifiedRig, X_NR: Array, config: Backend
+    states: list[OnlineState],
+    rig: RectifiedRig,
+    X_NR: Array,
+    config: Backend,
+    calibration: CalibrationEffects | None = None,
 ) -> OnlineEstimate:
     """One record of states with the errors that all landmarks share; X_NR (F, 4, 4): the left camera.
 
-    A row depends on its state and the first one of which something is known only.
+    A row depends on its state, the one before and the first one of which something is known only.
     """
     light_px = config.light_px if config.correlated_errors == "slide" else 0.0
-    shared = SharedErrors(config.systematic_px, config.focal_error, light_px)
-    return online_with_systematic(stack_states(states), rig, X_NR, shared)
+    shared = SharedErrors(config.systematic_px, light_px)
+    return online_with_systematic(stack_states(states), rig, X_NR, shared, calibration)
 
 
 def without_claims_after_torques(online: OnlineEstimate, wrench: Wrench) -> OnlineEstimate:

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from polhode.calibration.adjustment import RigState
-from polhode.geometry.lie import Array
+from polhode.geometry.lie import Array, hat
 from polhode.importers.calibrations.rig import (
     EQUIDISTANT,
     RADIAL_TANGENTIAL,
@@ -21,15 +21,32 @@ from polhode.importers.calibrations.rig import (
     pose_from_inverse,
     write_rig,
 )
+from polhode.records.calibration_prior import COVARIANCE_FILE, POSITION, TURN, CalibrationPrior
 
 SENSORS = ("cam0/sensor.yaml", "cam1/sensor.yaml")
 KALIBR, OPENCV = "camchain.yaml", "opencv.yaml"
 CAMERA_INFO = ("camera_info_left.yaml", "camera_info_right.yaml")
-FORMAT_FILES = (*SENSORS, KALIBR, OPENCV, *CAMERA_INFO)
+FORMAT_FILES = (*SENSORS, COVARIANCE_FILE, KALIBR, OPENCV, *CAMERA_INFO)
 
 
-def rig_of(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -> Rig:
-    """The rig on the body of the left camera."""
+def prior_of_adjustment(state: RigState, covariance: Array) -> CalibrationPrior:
+    """In the parameters of a dataset; covariance (n, n) of the lenses, then of X_10 Exp(theta) and t.
+
+    The right camera in the left one turns by -R_10 theta, and its place moves by p x theta - R_01 dt.
+    """
+    X_01 = pose_from_inverse(state.X_10)
+    R_01, n = X_01[:3, :3], len(covariance) - 6
+    J = np.eye(len(covariance))
+    J[n:, n:] = 0.0
+    J[n : n + 3, n : n + 3], J[n : n + 3, n + 3 :] = hat(X_01[:3, 3]), -R_01
+    J[n + 3 :, n : n + 3] = -R_01.T
+    names = [f"cam{i}.{name}" for i, lens in enumerate(state.lenses) for name in lens.names]
+    pose = [f"cam1.{name}" for name in (*POSITION, *TURN)]
+    return CalibrationPrior((*names, *pose), J @ covariance @ J.T, "the calibration")
+
+
+def rig_of(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]], covariance: Array) -> Rig:
+    """The rig on the body of the left camera; covariance: of the adjustment."""
     poses = (np.eye(4), pose_from_inverse(state.X_10))
     left, right = (
         Camera(
@@ -42,16 +59,18 @@ def rig_of(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -
         )
         for lens, X_BC, size in zip(state.lenses, poses, sizes_px, strict=True)
     )
-    return Rig(left, right)
+    return Rig(left, right, prior_of_adjustment(state, covariance))
 
 
-def calibration_files(state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]]) -> dict[str, bytes]:
+def calibration_files(
+    state: RigState, sizes_px: tuple[tuple[int, int], tuple[int, int]], covariance: Array
+) -> dict[str, bytes]:
     """All files by name. OpenCV's cannot state a pinhole beside a fisheye, and is then left out."""
-    rig = rig_of(state, sizes_px)
+    rig = rig_of(state, sizes_px, covariance)
     with TemporaryDirectory() as folder:
         # sensor.yaml has a rate, which images of a board do not show and nothing reads
         write_rig(Path(folder), rig, 1.0)
-        files = {name: (Path(folder) / name).read_bytes() for name in SENSORS}
+        files = {name: (Path(folder) / name).read_bytes() for name in (*SENSORS, COVARIANCE_FILE)}
     files[KALIBR] = _yaml(_camchain(state, rig))
     if rig.left.model == rig.right.model:
         files[OPENCV] = _opencv(state, rig)

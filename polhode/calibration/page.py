@@ -67,7 +67,7 @@ def files_of(rig: CalibratedRig, name: str) -> dict[str, bytes]:
     result = result_of(rig)
     sizes = (rig.views.size_px(0), rig.views.size_px(1))
     return {
-        **calibration_files(rig.state, sizes),
+        **calibration_files(rig.state, sizes, rig.adjusted.covariance),
         RESULT: json_text(result).encode(),
         PAGE: _render(rig, result, name).encode(),
     }

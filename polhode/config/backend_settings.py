@@ -73,11 +73,9 @@ class Backend(Section):
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
     squared); the start of its estimate."""
     systematic_px: tuple[Pixels, Pixels, Pixels] = (0.03, 0.03, 0.01)
-    """Standard deviations of constant errors of u, v and disparity common to all frames [px]: calibration and
-    matching. They do not appear in the residuals, and increase the sigma of position."""
-    focal_error: float = Field(0.0, ge=0.0, le=0.1)
-    """Standard deviation of the focal length, relative: the target is nearer or farther by this share of its
-    distance. ``polhode calibrate`` states it; 0: as calibrated. Increases the sigma of position."""
+    """Standard deviations of constant errors of u, v and disparity common to all frames [px], by matching
+    (the calibration has its own sigmas). They do not appear in the residuals, and increase the sigma of
+    position."""
     correlated_errors: CorrelatedErrors = "slide"
     """What the covariance knows of errors that depend on one another, each with those before it: nothing,
     those of neighbours in one image, a drift of each landmark, a slide of all of them (light_px)."""

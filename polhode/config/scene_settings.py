@@ -243,6 +243,9 @@ class Rig(Section):
     """Position of the left camera in the inspector's body frame B [m]."""
     mount_rotation_deg: RotationVector = (0.0, 0.0, 0.0)
     """Rotation vector R_BC of the left camera in B [deg]."""
+    calibration_errors: float = Field(0.0, ge=0, le=100)
+    """Errors of the written calibration: a draw from the default sigmas of a good laboratory calibration,
+    times this factor, which sensor.yaml then states; 0: it is exact, and says so."""
 
     @model_validator(mode="after")
     def _images_can_be_read(self) -> Self:

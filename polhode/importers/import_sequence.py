@@ -6,7 +6,7 @@ Everything that times, topics and calibration can show is checked before the fir
 import hashlib
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +75,7 @@ def import_sequence(
             rig = whole
             if (crop := options.crop) is not None:
                 part = (crop.left, crop.top, crop.width, crop.height)
-                rig = Rig(whole.left.cropped(*part), whole.right.cropped(*part))
+                rig = replace(whole, left=whole.left.cropped(*part), right=whole.right.cropped(*part))
                 require_usable(rig)
             try:
                 _write_others(contents, pairs, written, (whole, rig), options.crop, dataset)
@@ -137,7 +137,7 @@ def _sized(rig: Rig, written: WrittenImages, dataset: ImportedDataset, crop: Cro
             name = next(iter(dataset.images_there(index).values()))
             size = size_in_header(read_bytes(dataset.folder(index) / "data" / name, 2**30, "an image"))
         cameras.append(camera.sized(size))
-    sized = Rig(cameras[0], cameras[1])
+    sized = replace(rig, left=cameras[0], right=cameras[1])
     require_usable(sized)
     return sized
 

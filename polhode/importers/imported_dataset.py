@@ -27,7 +27,7 @@ FINGERPRINT = ".imported_from"
 
 _DATASET = re.compile(
     r"mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/-?\d+\.\w{2,5})|masks[01]/-?\d+\.png"
-    r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv)"
+    r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv|calibration_covariance\.npz)"
 )
 _PARTIAL = re.compile(r"(?P<folder>(?:.*/)?)\.(?P<stem>[^/]+)\.partial-\d+(?P<suffix>\.\w+)?")
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from polhode.config import Config
 from polhode.frontend.background.find_masks import doubtful_frames, find_background, find_masks
+from polhode.frontend.calibration_effects import calibration_effects
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.found_masks import FoundMasks
 from polhode.frontend.rectification import Rectifier, make_rectifier
@@ -16,6 +17,8 @@ from polhode.frontend.segmentation import has_surroundings
 from polhode.frontend.tracks.tracks import Association, to_tracks
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints
+from polhode.records.calibration_effects import CalibrationEffects
+from polhode.records.calibration_prior import prior_of
 from polhode.records.dataset import StereoSequence, open_sequence
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.finished_stages import StageStore
@@ -58,6 +61,14 @@ class RunContext:
         return np.asarray(self.sequence.X_NC @ self.rectifier.X_CR)
 
     @property
+    def calibration_effects(self) -> CalibrationEffects | None:
+        """What errors of the calibration do to the measurements; None: it is exact"""
+        sequence = self.sequence
+        return calibration_effects(
+            sequence.calibration, self.rectifier, sequence.poses_stated, sequence.has_ranges
+        )
+
+    @property
     def workers(self) -> int:
         """Number of processes for parallel work."""
         return worker_count(self.config.runtime.workers)
@@ -89,7 +100,8 @@ class RunContext:
         seen = self.rig, sequence.timestamps_ns, self.X_NR, self.config.frontend.tracks
         sigmas = sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad
         tracks = to_tracks(features, association, *seen, sigmas)
-        return replace(tracks, X_BR=sequence.calibration.X_BC0 @ self.rectifier.X_CR, wrench=sequence.wrench)
+        X_BR = sequence.calibration.X_BC0 @ self.rectifier.X_CR
+        return replace(tracks, X_BR=X_BR, wrench=sequence.wrench, calibration=self.calibration_effects)
 
 
 def open_context(sequence_folder: Path, config: Config, progress: Progress) -> RunContext:
@@ -100,6 +112,7 @@ def open_context(sequence_folder: Path, config: Config, progress: Progress) -> R
     sequence = open_sequence(sequence_folder)
     for warning in sequence.warnings:
         _log.warning(warning)
+    _log.info("standard deviations of the calibration: %s", prior_of(sequence.calibration).source)
     rectifier = rectifier_of(sequence)
     if rectifier.surroundings:
         _log.warning(SURROUNDINGS)

@@ -64,7 +64,13 @@ def stream_sequence(context: RunContext, streamed: Streamed | None) -> Streamed:
     if streamed is not None and streamed.observations:
         return streamed
     sequence, config = context.sequence, context.config
-    camera = CameraMotion(sequence.sigma_camera_p_m, sequence.sigma_camera_theta_rad, sequence.wrench)
+    camera = CameraMotion(
+        sequence.sigma_camera_p_m,
+        sequence.sigma_camera_theta_rad,
+        sequence.wrench,
+        sequence.poses_stated,
+        sequence.has_ranges,
+    )
     stream = Stream(config, sequence.calibration, camera)
     stream.rectifier = context.rectifier
     features = features_in_turn(context, config.frontend)
@@ -125,6 +131,7 @@ def _tracks(context: RunContext, streamed: Streamed) -> StereoTracks:
         sigma_camera_theta_rad=sequence.sigma_camera_theta_rad,
         X_BR=sequence.calibration.X_BC0 @ context.rectifier.X_CR,
         wrench=sequence.wrench,
+        calibration=context.calibration_effects,
     )
 
 

@@ -7,6 +7,7 @@
 - metrics, mesh_metrics: errors of an estimate against the truth, distances between meshes
 - dataset: a stereo sequence on disk, without its truth; dataset_writer writes the same layout
 - rig_calibration: the calibration of the rig, from sensor.yaml
+- calibration_prior: how well it is known; calibration_effects: what its errors do to the measurements
 - camera_folders: which folders of a sequence hold its two cameras, or its camera and ranges
 - pairing: images of two cameras that belong together, by their timestamps
 - range_images: range images in the place of a second camera: format and noise model

@@ -134,6 +134,11 @@ class StereoSequence:
         """Whether there are range images instead of a right camera."""
         return self.range_model is not None
 
+    @property
+    def poses_stated(self) -> bool:
+        """Whether N is that of the inspector's stated poses, not that of the left camera at rest."""
+        return not np.array_equal(self.X_NC, np.broadcast_to(np.eye(4), self.X_NC.shape))
+
     def read_pair(self, k: int) -> StereoImages:
         """Images and masks of pair k, 0 <= k < F, 8-bit grey. Raises InputError if the files have changed."""
         left, mask_left = self.read_left(k)

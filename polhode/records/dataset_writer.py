@@ -8,7 +8,15 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
+from polhode.files.atomic import replaced
 from polhode.geometry.lie import Array, Ints, continuous_wxyz, wxyz_from_matrix
+from polhode.records.calibration_prior import (
+    COVARIANCE_FILE,
+    DISTORTION,
+    INTRINSICS,
+    KEYS,
+    CalibrationPrior,
+)
 from polhode.records.truth import Truth
 
 STATE_COLUMNS = (
@@ -71,6 +79,32 @@ def write_sensor(
     if bits > 8:
         sensor["bits"] = int(bits)
     _write_yaml(camera / "sensor.yaml", sensor)
+
+
+def write_prior(mav0: Path, prior: CalibrationPrior) -> None:
+    """State in ``sensor.yaml`` of the cameras that are there how well their calibration is known; and in
+    ``calibration_covariance.npz``, where its errors depend on one another."""
+    sigma = dict(zip(prior.names, prior.sigma.tolist(), strict=True))
+    for camera in ("cam0", "cam1"):
+        path = mav0 / camera / "sensor.yaml"
+        if not path.exists():
+            continue
+        own = {name.partition(".")[2]: s for name, s in sigma.items() if name.startswith(camera)}
+        sensor = yaml.safe_load(path.read_text(encoding="utf-8"))
+        count = len(sensor["distortion_coefficients"])
+        keys = {"intrinsics_sigma": INTRINSICS, "distortion_sigma": DISTORTION[:count], **KEYS}
+        if camera == "cam1":
+            keys["clock_offset_sigma_s"] = ("clock_offset",)
+        for key, names in keys.items():
+            values = [own.get(name, 0.0) for name in names]
+            alike = key not in ("intrinsics_sigma", "distortion_sigma") and len(set(values)) == 1
+            sensor[key] = values[0] if alike else values
+        _write_yaml(path, sensor)
+    if np.count_nonzero(prior.covariance - np.diag(np.diag(prior.covariance))):
+        used = np.array([(mav0 / name[:4]).exists() for name in prior.names])
+        names = np.array(prior.names)[used]
+        with replaced(mav0 / COVARIANCE_FILE) as partial, partial.open("wb") as stream:
+            np.savez_compressed(stream, names=names, covariance=prior.covariance[np.ix_(used, used)])
 
 
 def write_range_sensor(

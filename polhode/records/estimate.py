@@ -212,6 +212,23 @@ class RotationHypothesis:
 
 
 @dataclass(frozen=True)
+class CalibrationPart:
+    """What errors of the calibration, which all frames share, contribute to the covariances."""
+
+    source: str
+    """Of the sigmas of the calibration, in words"""
+    last_joint: Array
+    """(20, 20) of ``covariance_last_joint``"""
+    cov_k: Array
+    """(2, 2)"""
+    cov_R_GP: Array
+    """(3, 3) [rad^2]"""
+    poses: Array
+    """(F, 6, c) change of the seen poses by one sigma of each of c errors: shift along N [m], turn along G
+    [rad]"""
+
+
+@dataclass(frozen=True)
 class MotionEstimate:
     """The result of the back end, one state per frame; r, v are absolute, the attitude is R_NP Exp(theta)."""
 
@@ -255,6 +272,8 @@ class MotionEstimate:
     """By unknown forces and torques; None: not sought, or none found"""
     hypotheses: tuple[RotationHypothesis, ...] = ()
     """Motions with other rotations between frames that fit as well, this one first; empty: there are none"""
+    calibration: CalibrationPart | None = None
+    """None: the calibration is exact"""
 
 
 @dataclass(frozen=True)

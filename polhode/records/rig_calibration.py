@@ -8,6 +8,7 @@ import numpy as np
 from polhode.files.images import MAX_PIXELS
 from polhode.files.tables import numbers_at, read_mapping
 from polhode.geometry.lie import Array, make_pose
+from polhode.records.calibration_prior import CalibrationPrior, read_prior
 from polhode.runtime.errors import InputError
 
 RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
@@ -46,6 +47,8 @@ class StereoCalibration:
     fisheye1: bool = False
     right_size_px: tuple[int, int] | None = None
     """Width and height of the right image; None: those of the left one"""
+    prior: CalibrationPrior | None = None
+    """How well all of this is known; None: not stated (``calibration_prior.default_prior``)"""
 
     def size_px(self, camera: int) -> tuple[int, int]:
         """Width and height of the images of a camera, 0 (left) or 1 (right)."""
@@ -70,7 +73,7 @@ def read_calibration(mav0: Path, names: tuple[str, str] = ("cam0", "cam1")) -> S
     if left.bits != right.bits:
         raise InputError(f"{mav0}: 'bits' of {both} differ, {left.bits} and {right.bits}; correct one")
     size_px = None if left.size_px(0) == right.size_px(0) else right.size_px(0)
-    return replace(
+    both_cameras = replace(
         left,
         K1=right.K0,
         dist1=right.dist0,
@@ -78,6 +81,7 @@ def read_calibration(mav0: Path, names: tuple[str, str] = ("cam0", "cam1")) -> S
         fisheye1=right.fisheye0,
         right_size_px=size_px,
     )
+    return replace(both_cameras, prior=read_prior(mav0, both_cameras, names))
 
 
 def read_range_calibration(mav0: Path, name: str = "cam0") -> StereoCalibration:
@@ -85,7 +89,8 @@ def read_range_calibration(mav0: Path, name: str = "cam0") -> StereoCalibration:
 
     Its distance, here 1 m, is to be set by ``with_baseline``. Raises InputError as ``read_calibration``.
     """
-    return with_baseline(_read_camera(mav0 / name / "sensor.yaml"), 1.0)
+    calibration = with_baseline(_read_camera(mav0 / name / "sensor.yaml"), 1.0)
+    return replace(calibration, prior=read_prior(mav0, calibration, (name,)))
 
 
 def with_baseline(calibration: StereoCalibration, baseline_m: float) -> StereoCalibration:

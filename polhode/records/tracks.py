@@ -10,6 +10,7 @@ import numpy as np
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Ints
+from polhode.records.calibration_effects import CalibrationEffects
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class StereoTracks:
     """(4, 4) rectified left camera in the inspector's body, whose pose these standard deviations are of."""
     wrench: Wrench | None = None
     """Known force and torque on the target; None: free of known ones."""
+    calibration: CalibrationEffects | None = None
+    """What errors of the calibration do to the measurements; None: it is exact."""
 
     @property
     def n_frames(self) -> int:

@@ -215,6 +215,10 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         TableRow("landmarks", f"{summary.landmarks}"),
         TableRow("observations", f"{summary.observations}"),
     ]
+    if summary.calibration is not None:
+        rows.append(TableRow("calibration's sigmas", summary.calibration.source))
+    elif summary.noise is not None:
+        rows.append(TableRow("calibration's sigmas", "none: taken as exact"))
     if (noise := summary.noise) is not None:
         rows += [
             TableRow(name, f"{value:.3f}", "px")
@@ -325,7 +329,30 @@ def sigma_rows(content: StoredRun) -> list[tuple[str, str, tuple[str, ...]]]:
         ("centre of mass, along G", "mm", cells(1e3 * com)),
         ("principal axes, about P", "deg", cells(np.rad2deg(axes))),
         *((f"inertia ratio k{k}", "", (cell,)) for k, cell in enumerate(cells(ratios), start=1)),
+        *calibration_rows(summary),
     ]
+
+
+def calibration_rows(summary: Summary) -> list[tuple[str, str, tuple[str, ...]]]:
+    """(quantity, unit, parts of the sigma of its length at the end: by images, calibration, both)."""
+    if (found := summary.calibration) is None:
+        return []
+    rows, degrees = list[tuple[str, str, tuple[str, ...]]](), float(np.rad2deg(1.0))
+    for name, part, unit, scale in (
+        ("position", found.position_m, "mm", 1e3),
+        ("velocity", found.velocity_m_s, "mm/s", 1e3),
+        ("attitude", found.attitude_rad, "deg", degrees),
+        ("angular velocity", found.angular_velocity_rad_s, "deg/s", degrees),
+        ("centre of mass", found.com_m, "mm", 1e3),
+        ("principal axes", found.axes_rad, "deg", degrees),
+        ("inertia ratio k1", found.k1, "", 1.0),
+        ("inertia ratio k2", found.k2, "", 1.0),
+    ):
+        images = np.inf if part.images is None else part.images
+        values = images, part.calibration, float(np.hypot(images, part.calibration))
+        cells = tuple(f"{scale * value:.3g}" if np.isfinite(value) else "no bound" for value in values)
+        rows.append((f"{name}, at the end: by the images, by the calibration, both", unit, cells))
+    return rows
 
 
 def timing_rows(summary: Summary) -> list[tuple[str, float, float]]:

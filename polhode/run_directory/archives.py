@@ -16,6 +16,7 @@ from polhode.files.array_files import read_arrays
 from polhode.files.atomic import replaced
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
+from polhode.records.calibration_effects import CalibrationEffects, kept_terms
 from polhode.records.estimate import MotionEstimate, OnlineEstimate, RotationHypothesis
 from polhode.records.tracks import RelativePoses, StereoTracks, Wrench
 from polhode.runtime.errors import InputError
@@ -212,11 +213,12 @@ def write_measurements(
 ) -> None:
     """Tracks, rig and noise; the relative poses and the back end's residuals when they are given.
 
-    Keys: the fields of StereoTracks; ``rig_<field>``; ``wrench_<field>``; ``relative_<field>``; residuals_px,
-    inlier_weight.
+    Keys: the fields of StereoTracks; ``rig_<field>``; ``wrench_<field>``; ``calibration_<field>``;
+    ``relative_<field>``; residuals_px, inlier_weight.
     """
-    arrays = _fields(tracks, without=("rig", "wrench"))
-    for prefix, record in (("wrench", tracks.wrench), ("rig", tracks.rig), ("relative", relative)):
+    parts = {"wrench": tracks.wrench, "rig": tracks.rig, "calibration": tracks.calibration}
+    arrays = _fields(tracks, without=tuple(parts))
+    for prefix, record in {**parts, "relative": relative}.items():
         arrays |= {} if record is None else _fields(record, f"{prefix}_")
     if estimate is not None:
         arrays |= {"residuals_px": estimate.residuals_px, "inlier_weight": estimate.inlier_weight}
@@ -260,6 +262,22 @@ def read_measurements(path: Path) -> StereoTracks:
         sigma_camera_theta_rad=archive.number("sigma_camera_theta_rad"),
         X_BR=archive.numbers("X_BR", 4, 4),
         wrench=wrench,
+        calibration=_calibration_effects(archive) if "calibration_source" in archive else None,
+    )
+
+
+def _calibration_effects(archive: Archive) -> CalibrationEffects:
+    later_s = archive.numbers("calibration_right_later_s", None)
+    c, terms = len(later_s), int(kept_terms().sum())
+    left, right = (archive.numbers(f"calibration_{side}", terms, 2, c) for side in ("left", "right"))
+    poses = ("right_shift_m", "right_turn_rad", "body_shift_m", "body_turn_rad")
+    return CalibrationEffects(
+        source=archive.text("calibration_source"),
+        left=left,
+        right=right,
+        right_later_s=later_s,
+        has_ranges=bool(archive.flags("calibration_has_ranges")),
+        **{name: archive.numbers(f"calibration_{name}", 3, c) for name in poses},
     )
 
 

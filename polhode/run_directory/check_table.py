@@ -53,16 +53,16 @@ CHECK_TABLE = {
     "step of disparities": CheckRow("step of all disparities in time", "px", None,
         "from {from_s:g} s on all disparities are {step_px:+.2f} px different, as if one camera had "
         "turned sideways by {degrees:.2f} deg: the calibration does not hold throughout"),
-    # features that follow the light pretend 0.5 % at 4 sigma
-    "focal length": CheckRow("deviation of the self-calibrated focal length from the calibration", "%", 0.2,
-        "a focal length {value:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or disparities "
-        "{disparity_px:+.2f} px different, would fit the rotating target better: check the calibration; "
-        "distances are wrong accordingly"),
+    "focal length": CheckRow(
+        "self-calibrated focal length from the calibration, in sigmas of both", "sigmas", 4.0,
+        "a focal length {percent:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or disparities "
+        "{disparity_px:+.2f} px different, would fit the rotating target better, {value:.1f} sigmas of the "
+        "stated calibration: calibrate again, or state larger sigmas; distances are wrong accordingly"),
     "focal length of ranges": CheckRow(
-        "deviation of the self-calibrated focal length from the calibration", "%", 0.2,
-        "a focal length {value:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or ranges with another "
-        "offset, would fit the rotating target better: check the calibration of the camera and of the "
-        "ranges; shape and motion are wrong accordingly"),
+        "self-calibrated focal length from the calibration, in sigmas of both", "sigmas", 4.0,
+        "a focal length {percent:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or ranges with "
+        "another offset, would fit the rotating target better: check the calibration of the camera and of "
+        "the ranges; shape and motion are wrong accordingly"),
     # good sequences show 0.4 % at most
     "clock": CheckRow(
         "period of rotation from the images over that from the timestamps: deviation from 1", "%", 8.0,

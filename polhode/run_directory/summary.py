@@ -212,6 +212,7 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
         "solver": vars(solver) | {"converged": bool(solver.converged), "ipopt": ipopt},
         "noise": {name: getattr(estimate.noise, name) for name in Noise.model_fields},
         "hypotheses": [_hypothesis(each, number) for number, each in enumerate(estimate.hypotheses)],
+        "calibration": calibration_sigmas(estimate),
         "unknown_pushes": [
             {
                 "start_s": (impulse.start_ns - first_ns) * 1e-9,
@@ -221,6 +222,32 @@ def _estimate_parts(estimate: MotionEstimate) -> dict[str, Any]:
             for impulse in impulses
         ],
     }
+
+
+def calibration_sigmas(estimate: MotionEstimate) -> dict[str, Any] | None:
+    """Parts of the sigmas by images and calibration; None: the calibration is exact."""
+    part, mass = estimate.calibration, estimate.mass
+    if part is None:
+        return None
+    last, of_last = np.diag(estimate.covariance[-1]), np.diag(part.last_joint)
+    variances = {
+        "position_m": (last[:3], of_last[:3]),
+        "velocity_m_s": (last[3:6], of_last[3:6]),
+        "attitude_rad": (last[6:9], of_last[6:9]),
+        "angular_velocity_rad_s": (last[9:], of_last[9:12]),
+        "k1": (mass.cov_k[:1, 0], part.cov_k[:1, 0]),
+        "k2": (mass.cov_k[1:, 1], part.cov_k[1:, 1]),
+        "axes_rad": (np.diag(mass.cov_R_GP), np.diag(part.cov_R_GP)),
+        "com_m": (np.diag(mass.cov_com_G), of_last[17:]),
+    }
+    parts = {
+        name: {
+            "images": float(np.sqrt(max(np.sum(whole) - np.sum(own), 0.0))),
+            "calibration": float(np.sqrt(np.sum(own))),
+        }
+        for name, (whole, own) in variances.items()
+    }
+    return {"source": part.source, **parts}
 
 
 def nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:

@@ -192,6 +192,29 @@ class Noise(StrictModel):
     while the target turns by more than a radian [px]; null: not measured."""
 
 
+class SigmaParts(StrictModel):
+    """Root of the sum of the variances of the components, by the images and by the calibration."""
+
+    images: Variance
+    """null: undetermined."""
+    calibration: Finite
+
+
+class CalibrationSigmas(StrictModel):
+    """What errors of the calibration contribute to the sigmas; states are those of the last frame."""
+
+    source: str
+    """Where the standard deviations of the calibration are from."""
+    position_m: SigmaParts
+    velocity_m_s: SigmaParts
+    attitude_rad: SigmaParts
+    angular_velocity_rad_s: SigmaParts
+    k1: SigmaParts
+    k2: SigmaParts
+    axes_rad: SigmaParts
+    com_m: SigmaParts
+
+
 class UnknownPush(StrictModel):
     """Effect of unknown forces and torques over consecutive steps; pushes.csv has each step."""
 
@@ -472,6 +495,8 @@ class Summary(StrictModel):
     """At the last pair; null: an earlier version wrote none."""
     solver: SolverSummary | None
     noise: Noise | None
+    calibration: CalibrationSigmas | None = None
+    """null: it is stated as exact, or an earlier version took it so."""
     unknown_pushes: tuple[UnknownPush, ...] = ()
     """Of unknown forces and torques, in time."""
     hypotheses: tuple[Hypothesis, ...] = Field((), max_length=4)

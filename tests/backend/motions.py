@@ -1,5 +1,7 @@
 """Synthetic motions, their estimates and errors, for the tests of the back end."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from polhode.backend import estimate_motion, initialize_motion
@@ -9,9 +11,12 @@ from polhode.backend.problem.iterate import Iterate
 from polhode.backend.problem.motion_data import motion_data
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.config.backend_settings import Backend
-from polhode.geometry.lie import Array, log_so3
+from polhode.frontend.calibration_effects import calibration_effects
+from polhode.frontend.rectification import make_rectifier
+from polhode.geometry.lie import Array, inverse_pose, log_so3, make_pose, transform_points
 from polhode.geometry.rigid_body import HALF_TURNS
 from polhode.records.estimate import MotionEstimate
+from polhode.records.rig_calibration import StereoCalibration
 from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence
 
@@ -67,6 +72,27 @@ def at_truth(sequence: SyntheticSequence, config: Backend | None = None) -> Moti
     camera = np.zeros((len(X), 6)) if data.camera_is_noisy else None
     states = X[:, :3, 3], X[:, :3, :3], truth.v_N, w_G
     return MotionFit(data, Iterate(*states, truth.com_G, xi, R_inertia, sequence.p_G, camera))
+
+
+def calibrated(sequence: SyntheticSequence) -> SyntheticSequence:
+    """The sequence with the default sigmas of its rig's calibration."""
+    rig = sequence.tracks.rig
+    X_BC1 = make_pose(np.eye(3), np.array([rig.baseline_m, 0.0, 0.0]))
+    size_px, none = (rig.width_px, rig.height_px), np.zeros(4)
+    calibration = StereoCalibration(rig.K, rig.K, none, none, np.eye(4), X_BC1, *size_px)
+    effects = calibration_effects(calibration, make_rectifier(calibration), poses_stated=False)
+    return replace(sequence, tracks=replace(sequence.tracks, calibration=effects))
+
+
+def with_errors(sequence: SyntheticSequence, seed: int, size: float = 1.0) -> tuple[SyntheticSequence, Array]:
+    """A calibrated sequence with errors drawn from these sigmas, times a size; the draw (c,)."""
+    tracks, effects = sequence.tracks, sequence.tracks.calibration
+    assert effects is not None
+    z = np.random.default_rng([seed, 9]).normal(0.0, size, int(effects.left.shape[2]))
+    X_RG = inverse_pose(sequence.X_NR) @ sequence.X_NG
+    p_R = transform_points(X_RG[tracks.frame], sequence.p_G[tracks.landmark][:, None])[:, 0]
+    uvd_px = tracks.uvd_px + effects.at(tracks.rig, p_R) @ z
+    return replace(sequence, tracks=replace(tracks, uvd_px=uvd_px)), z
 
 
 def cold_start(sequence: SyntheticSequence, config: Backend) -> MotionFit:

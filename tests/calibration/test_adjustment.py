@@ -5,9 +5,12 @@ import pytest
 from scipy.stats import chi2
 
 from polhode.calibration.adjustment import RigState, adjust
+from polhode.calibration.formats import prior_of_adjustment
 from polhode.calibration.lenses import COEFFICIENTS, Model
 from polhode.calibration.start_values import calibrated_alone
-from polhode.geometry.lie import Array, exp_so3, log_so3
+from polhode.geometry.lie import Array, exp_so3, inverse_pose, log_so3
+from polhode.records.calibration_prior import changed
+from polhode.records.rig_calibration import StereoCalibration
 from tests.calibration.synthetic_rigs import SIZE, rig, seen_corners
 
 MODELS: tuple[Model, ...] = tuple(COEFFICIENTS)
@@ -74,3 +77,19 @@ def test_wrong_corners_hardly_move_the_robust_solution() -> None:
     found = adjust(data, truth, np.ones(truth.shared, dtype=np.bool_), robust=True)
     off = errors(found.state, truth) / np.sqrt(found.covariance.diagonal())
     assert np.abs(off).max() < 4.0
+
+
+def test_the_covariance_is_carried_into_the_parameters_of_a_dataset() -> None:
+    state, rng = rig("brown5", 1, np.random.default_rng(1)), np.random.default_rng(2)
+    step = 1e-6 * rng.normal(size=state.shared)
+    moved = state.moved(step, np.zeros((1, 6)))
+    # of one error alone the covariance gives the error, but for its sign
+    prior = prior_of_adjustment(state, np.outer(step, step))
+    errors = np.sign(step[0]) * prior.covariance[:, 0] / prior.sigma[0]
+    lenses = [(lens.K, lens.coefficients) for lens in state.lenses]
+    (K0, dist0), (K1, dist1) = lenses
+    stated = StereoCalibration(K0, K1, dist0, dist1, np.eye(4), inverse_pose(state.X_10), 640, 480)
+    true = changed(stated, dict(zip(prior.names, errors.tolist(), strict=True)))
+    np.testing.assert_allclose(true.X_BC1, inverse_pose(moved.X_10), rtol=0, atol=1e-11)
+    assert abs(true.X_BC1 - stated.X_BC1).max() > 1e-7
+    np.testing.assert_allclose(true.dist1, moved.lenses[1].coefficients, rtol=0, atol=1e-11)

@@ -22,6 +22,7 @@ from polhode.geometry.lie import Array, inverse_pose, log_so3, make_pose, transf
 from polhode.importers.calibrations.read_rig import read_rig
 from polhode.importers.options import ImportOptions
 from polhode.records.dataset_writer import image_path, write_camera_csv, write_png, write_sensor
+from polhode.records.rig_calibration import read_calibration
 from polhode.runtime.progress import Silent
 from tests.calibration.rendered_rigs import SIZE, Scene, board_pose, make_scene, write_images
 from tests.importers.recordings import BagContents, original, write_ros2, write_side_by_side
@@ -185,6 +186,16 @@ def test_the_command_writes_every_format_and_each_reads_back_the_same(
     assert content["rejected"] == [] and len(content["used"]) == 2 * VIEWS
     assert set(content["rms_px"]) == {"cam0", "cam1", "stereo"}
     rig = read_rig([out])
+    prior, found = read_calibration(out).prior, content["parameters"]
+    assert prior is not None and rig.prior is not None and rig.prior.names == prior.names
+    sigma = dict(zip(prior.names, prior.sigma.tolist(), strict=True))
+    assert sigma["cam0.fu"] == pytest.approx(found["cam0"]["fu"]["sigma"])
+    # the length of the baseline, by the same covariance in other parameters
+    p = rig.right.X_BC[:3, 3] - rig.left.X_BC[:3, 3]
+    at, along = [prior.names.index(f"cam1.p_{axis}") for axis in "xyz"], p / np.linalg.norm(p)
+    assert np.sqrt(along @ prior.covariance[np.ix_(at, at)] @ along) == pytest.approx(
+        found["rig"]["baseline"]["sigma"]
+    )
     for names in (["camchain.yaml"], ["opencv.yaml"], ["camera_info_left.yaml", "camera_info_right.yaml"]):
         back = read_rig([out / name for name in names])
         for camera, own in zip(back.cameras, rig.cameras, strict=True):

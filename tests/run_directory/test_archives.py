@@ -12,6 +12,7 @@ import trimesh
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.uncertainty.ambiguity import OpenRotation, end_of
 from polhode.geometry.lie import exp_so3
+from polhode.records.calibration_effects import CalibrationEffects, kept_terms
 from polhode.records.tracks import Wrench
 from polhode.run_directory.archives import (
     read_covariance,
@@ -31,7 +32,7 @@ def _equal(again: Any, given: Any) -> None:
     """All fields of two records, records among them compared as such."""
     for field in fields(again):
         one, other = getattr(again, field.name), getattr(given, field.name)
-        if field.name in ("rig", "wrench"):
+        if field.name in ("rig", "wrench", "calibration"):
             assert (one is None) == (other is None)
             _equal(one, other) if one is not None else None
         else:
@@ -50,7 +51,12 @@ def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Pat
     # a known wrench, no observation, and what a run did not reach
     wrench = Wrench(np.array([5, 9], dtype=np.int64), np.eye(2, 3), -np.eye(2, 3))
     none = {name: getattr(example.tracks, name)[:0] for name in ("frame", "landmark", "uvd_px", "sigma_px")}
-    for given in (replace(example.tracks, wrench=wrench), replace(example.tracks, **none)):
+    rng, later_s = np.random.default_rng(0), np.array([0.0, 1e-3])
+    left, right = rng.normal(size=(2, int(kept_terms().sum()), 2, 2))
+    shift, turn = rng.normal(size=(2, 3, 2))
+    effects = CalibrationEffects("a guess", left, right, shift, turn, later_s, turn, shift, has_ranges=True)
+    more = ({"wrench": wrench}, {"calibration": effects}, none)
+    for given in (replace(example.tracks, **changes) for changes in more):
         write_measurements(given, file)
         _equal(read_measurements(tmp_path), given)
         assert read_relative_poses(tmp_path) is None and read_residuals(tmp_path) is None

@@ -6,6 +6,7 @@ left camera. ``sensor.yaml`` of both cameras is as EuRoC publishes and ``polhode
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from polhode.files.yaml_files import parse_yaml
 from polhode.importers.calibrations.camera_info import is_camera_info, read_camera_info, read_one, rig_of
 from polhode.importers.calibrations.opencv import is_opencv, read_opencv, read_opencv_camera
 from polhode.importers.calibrations.rig import Camera, Rig, camera_of, pose_from_inverse
+from polhode.records.calibration_prior import DISTORTION, states_sigmas
+from polhode.records.rig_calibration import read_calibration
 from polhode.runtime.errors import InputError
 
 KINDS = (
@@ -54,13 +57,14 @@ def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:
     missing, of no known format, or wrong.
     """
     if len(paths) == 1 and paths[0].is_dir():
-        return Rig(read_euroc_camera(paths[0], "cam0"), read_euroc_camera(paths[0], "cam1"))
+        return read_euroc_rig(paths[0])
     if not 1 <= len(paths) <= 2:
         raise InputError(f"--calibration: {len(paths)} were given; give {KINDS}")
     contents = [content for path in paths if (content := _content(path, KINDS)) is not None]
     if len(contents) == len(paths):
         if len(paths) == 1 and _is_kalibr(contents[0]):
-            return Rig(*_read_kalibr(paths[0], contents[0], stereo=True))
+            left, right = _read_kalibr(paths[0], contents[0], stereo=True)
+            return Rig(left, right)
         if all(is_camera_info(content) for content in contents):
             if len(paths) == 1:
                 raise InputError(f"{paths[0]}: the camera_info of one camera; give those of both: LEFT RIGHT")
@@ -80,6 +84,21 @@ def _content(path: Path, kinds: str) -> dict[str, Any] | None:
     if not isinstance(content, dict):
         raise InputError(f"{path} is no calibration: give {kinds}")
     return content
+
+
+def read_euroc_rig(folder: Path, names: tuple[str, str] = ("cam0", "cam1")) -> Rig:
+    """Both cameras by ``sensor.yaml``, and how well they are known, if that is stated."""
+    rig = Rig(read_euroc_camera(folder, names[0]), read_euroc_camera(folder, names[1]))
+    base = folder / "mav0" if (folder / "mav0").is_dir() else folder
+    prior = read_calibration(base, names).prior if states_sigmas(base, names) else None
+    if prior is None:
+        return rig
+    # a coefficient of 0 at the end is left out
+    kept = tuple(
+        f"cam{i}.{name}" for i, each in enumerate(rig.cameras) for name in DISTORTION[: len(each.distortion)]
+    )
+    lost = [n for n in prior.names if n.partition(".")[2] in DISTORTION and n not in kept]
+    return replace(rig, prior=prior.without(*lost) if lost else prior)
 
 
 def read_euroc_camera(folder: Path, name: str = "cam0") -> Camera:

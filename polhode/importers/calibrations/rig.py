@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polhode.geometry.lie import Array, inverse_pose, make_pose
-from polhode.records.dataset_writer import write_sensor
+from polhode.records.calibration_prior import CalibrationPrior
+from polhode.records.dataset_writer import write_prior, write_sensor
 from polhode.records.rig_calibration import read_calibration
 from polhode.runtime.errors import InputError
 
@@ -69,6 +70,8 @@ class Rig:
 
     left: Camera
     right: Camera
+    prior: CalibrationPrior | None = None
+    """How well it is known; None: the format does not state it"""
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
@@ -83,7 +86,7 @@ class Rig:
     def of_depth(self, bits: int) -> "Rig":
         """The rig whose images have ``bits`` bits, where the calibration does not state them."""
         left, right = (replace(camera, bits=camera.bits or bits) for camera in self.cameras)
-        return Rig(left, right)
+        return replace(self, left=left, right=right)
 
     def on_body(self, X_BC0: Array) -> "Rig":
         """The rig on another body, in which the left camera has the pose X_BC0 (4, 4)."""
@@ -92,7 +95,10 @@ class Rig:
         X_01 = self.right.X_BC
         if not np.array_equal(self.left.X_BC, np.eye(4)):
             X_01 = inverse_pose(self.left.X_BC) @ X_01
-        return Rig(replace(self.left, X_BC=X_BC0 + 0.0), replace(self.right, X_BC=X_BC0 @ X_01 + 0.0))
+        left, right = replace(self.left, X_BC=X_BC0 + 0.0), replace(self.right, X_BC=X_BC0 @ X_01 + 0.0)
+        # how well the pose in another body is known says nothing of this one
+        prior = None if self.prior is None else self.prior.without("cam0.p_", "cam0.theta_")
+        return Rig(left, right, prior)
 
 
 def distortion_of(source: str, name: str, coefficients: Sequence[float]) -> tuple[str, tuple[float, ...]]:
@@ -159,6 +165,8 @@ def write_rig(mav0: Path, rig: Rig, rate_hz: float, cameras: int = 2) -> None:
             bits=camera.bits or 8,
             fisheye=camera.model == EQUIDISTANT,
         )
+    if rig.prior is not None:
+        write_prior(mav0, rig.prior)
 
 
 def require_usable(rig: Rig) -> None:

@@ -4,18 +4,21 @@ Images, masks and tables are copied as they are. ``inspector0`` gives the inspec
 EuRoC's ``state_groundtruth_estimate0`` does, which states those of the same body.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from polhode.files.tables import attitudes_of, read_listing, read_table
 from polhode.geometry.lie import make_pose
-from polhode.importers.calibrations.read_rig import read_euroc_camera
-from polhode.importers.calibrations.rig import Rig, with_virtual_camera
+from polhode.importers.calibrations.read_rig import read_euroc_camera, read_euroc_rig
+from polhode.importers.calibrations.rig import with_virtual_camera
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
+from polhode.records.calibration_prior import states_sigmas
 from polhode.records.camera_folders import find_cameras
 from polhode.records.range_images import read_range_model
+from polhode.records.rig_calibration import read_range_calibration
 from polhode.runtime.errors import InputError
 
 ESTIMATE = "state_groundtruth_estimate0"
@@ -43,8 +46,10 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
     stamps = [np.array(list(names), dtype=np.int64) for names in listings]
     if folders.has_ranges:
         rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
+        if states_sigmas(mav0, folders.names[:1]):
+            rig = replace(rig, prior=read_range_calibration(mav0, folders.names[0]).prior)
     else:
-        rig = Rig(*(read_euroc_camera(mav0, name) for name in folders.names))
+        rig = read_euroc_rig(mav0, folders.names)
     tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
     found: Poses | None = None
     notes: tuple[str, ...] = ()

@@ -112,9 +112,9 @@ class FolderSource:
         last = np.array([2**62 - 1], dtype=np.int64)
         wrench = read_wrench(wrench_folder, last) if wrench_folder.is_dir() else None
         if self._inspector is None:
-            return CameraMotion(wrench=wrench)
+            return CameraMotion(wrench=wrench, stated=False)
         sigma_p_m, sigma_theta_rad, _ = read_sigmas(self._inspector / "sensor.yaml")
-        return CameraMotion(sigma_p_m, sigma_theta_rad, wrench)
+        return CameraMotion(sigma_p_m, sigma_theta_rad, wrench, stated=True)
 
     def items(self, stopped: Callable[[], bool]) -> Iterator[SourcePair | Passed]:
         """Pairs, and what is passed over, as they come; until the end, or until ``stopped``."""

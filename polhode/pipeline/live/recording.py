@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polhode.geometry.lie import Array, Bools
-from polhode.records.dataset_writer import image_path, mask_path, write_inspector, write_png, write_sensor
+from polhode.records.calibration_prior import COVARIANCE_FILE
+from polhode.records.dataset_writer import (
+    image_path,
+    mask_path,
+    write_inspector,
+    write_png,
+    write_prior,
+    write_sensor,
+)
 from polhode.records.rig_calibration import StereoCalibration
 
 CAMERAS = ("cam0", "cam1")
@@ -32,7 +40,7 @@ class FileRecording:
                 (self.mav0 / entry.name).mkdir(parents=True)
                 for name in ("data", "sensor.yaml"):
                     (self.mav0 / entry.name / name).symlink_to(entry / name)
-            elif entry.is_dir():
+            elif entry.is_dir() or entry.name == COVARIANCE_FILE:
                 self.mav0.mkdir(exist_ok=True)
                 (self.mav0 / entry.name).symlink_to(entry)
 
@@ -67,6 +75,8 @@ class ImageRecording(FileRecording):
                 self.mav0 / CAMERAS[index], K, dist, X_BC, calibration.size_px(index), rate_hz=1.0,
                 bits=calibration.bits or 8, fisheye=fisheye,
             )  # fmt: skip
+        if calibration.prior is not None:
+            write_prior(self.mav0, calibration.prior)
 
     def add_images(
         self,

@@ -9,6 +9,7 @@ import logging
 from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from time import perf_counter
 from typing import Any, Literal
 
@@ -18,6 +19,7 @@ from polhode.backend.window import SlidingWindow, online_estimate, stack_states,
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements
 from polhode.config import Config
+from polhode.frontend.calibration_effects import calibration_effects
 from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
@@ -31,6 +33,7 @@ from polhode.frontend.tracks.causal_tracks import CausalTracks
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose
 from polhode.pipeline.stream.work_ahead import Ahead, ComingPair
 from polhode.pipeline.stream_results import Observations, Streamed, observations_of
+from polhode.records.calibration_effects import CalibrationEffects
 from polhode.records.dataset import StereoImages
 from polhode.records.estimate import OnlineEstimate
 from polhode.records.rig_calibration import StereoCalibration
@@ -82,6 +85,10 @@ class CameraMotion:
     sigma_p_m: float = 0.0
     sigma_theta_rad: float = 0.0
     wrench: Wrench | None = None
+    stated: bool | None = None
+    """Whether there are poses of the inspector; None: if the first one is not that of a camera at rest"""
+    has_ranges: bool = False
+    """Whether ranges take the place of a right camera"""
 
 
 @dataclass(frozen=True)
@@ -122,6 +129,9 @@ class _Past:
     states: list[OnlineState] = field(default_factory=list)
     first_known: tuple[OnlineState, Array] | None = None
     """The first state of which something is determined, and X_NR there"""
+    before: tuple[OnlineState, Array] | None = None
+    """The latest state, and X_NR there"""
+    first_X_NR: Array | None = None
 
 
 class Stream:
@@ -134,6 +144,7 @@ class Stream:
         self.rectifier = make_rectifier(calibration)
         self._camera = camera or CameraMotion()
         self._X_CR = self.rectifier.X_CR
+        self._calibration = calibration
         self._frontend = config.frontend
         feature_method(self._frontend), match_method(self._frontend)
         X_BR = calibration.X_BC0 @ self._X_CR
@@ -260,16 +271,25 @@ class Stream:
     def _with_systematic(self, state: OnlineState, X_NR: Array) -> OnlineState:
         """The state with the errors that all landmarks share in its covariances, as the batch reports it."""
         past = self._past
+        past.first_X_NR = X_NR if past.first_X_NR is None else past.first_X_NR
         if past.first_known is None and np.isfinite(np.diagonal(state.covariance)).any():
             past.first_known = state, X_NR
-        rows, X = [state], [X_NR]
-        if past.first_known is not None:
-            rows, X = [past.first_known[0], state], [past.first_known[1], X_NR]
-        online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._config.backend)
+        earlier = [row for row in (past.first_known, past.before) if row is not None]
+        past.before = state, X_NR
+        rows, X = [*(row[0] for row in earlier), state], [*(row[1] for row in earlier), X_NR]
+        online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._config.backend, self._effects)
         if self._camera.wrench is not None:
             online = without_claims_after_torques(online, self._camera.wrench)
         names = [each.name for each in fields(OnlineEstimate) if each.name != "timestamps_ns"]
         return replace(state, **{name: getattr(online, name)[-1] for name in names})
+
+    @cached_property
+    def _effects(self) -> CalibrationEffects | None:
+        stated = self._camera.stated
+        if stated is None:
+            first = self._past.first_X_NR
+            stated = first is not None and not np.array_equal(first, self._X_CR)
+        return calibration_effects(self._calibration, self.rectifier, stated, self._camera.has_ranges)
 
     @property
     def is_long(self) -> bool:

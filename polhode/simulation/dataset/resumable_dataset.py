@@ -23,7 +23,7 @@ FINGERPRINT, FRAMES = ".made_by", ".frames"
 _DATASET = re.compile(
     r"scene\.yaml"
     r"|mav0/((?:cam[01]|range0)/(sensor\.yaml|data\.csv|data/\d+\.png)|masks[01]/\d+\.png|truth[01]/\d+\.npz"
-    r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv|target0/(data\.csv|target\.yaml|mesh\.ply))"
+    r"|inspector0/(sensor\.yaml|data\.csv)|wrench0/data\.csv|calibration_covariance\.npz|target0/(data\.csv|target\.yaml|mesh\.ply))"
 )
 _STAMPED = re.compile(r"mav0/(?:cam[01]/data|range0/data|masks[01]|truth[01])/(\d+)\.(?:png|npz)")
 _STAGING = re.compile(rf"{re.escape(FINGERPRINT)}|{re.escape(FRAMES)}/\d+\.(done|partial)")

@@ -1,5 +1,6 @@
 """A simulated sequence, from the description of a scene to the dataset on disk."""
 
+from dataclasses import replace
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -10,15 +11,18 @@ import polhode
 from polhode.config import Config
 from polhode.config.loader import dump_config
 from polhode.config.scene_settings import Scene
+from polhode.records.calibration_prior import CalibrationPrior, changed, default_prior, exact_prior
 from polhode.records.dataset_writer import (
     write_camera_csv,
     write_inspector,
+    write_prior,
     write_range_sensor,
     write_sensor,
     write_truth,
     write_wrench,
 )
 from polhode.records.range_images import RANGE_FOLDER
+from polhode.records.rig_calibration import StereoCalibration
 from polhode.runtime.program_digest import versions_of
 from polhode.runtime.progress import Progress
 from polhode.simulation.dataset.frame_renderer import render_frames
@@ -117,11 +121,14 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
     """Write what the estimator may read: calibration, times, inspector poses, known forces and torques."""
     scene, X_BC = plan.scene, mount_pose(plan.scene.rig)
     all_ns = plan.target.timestamps_ns[: scene.frames]
-    for index, c in enumerate(plan.recording_cameras):
+    stated, prior = stated_calibration(plan)
+    lenses = (stated.K0, stated.dist0, stated.X_BC0), (stated.K1, stated.dist1, stated.X_BC1)
+    for index, (c, lens) in enumerate(zip(plan.recording_cameras, lenses, strict=False)):
         path, rate_hz, bits = mav0 / f"cam{index}", 1.0 / scene.interval_s, scene.sensor.bits
-        calibration = (c.K, c.dist, X_BC @ c.X_CK, (c.width_px, c.height_px))
-        write_sensor(path, *calibration, rate_hz=rate_hz, bits=bits, fisheye=c.fisheye)
+        size_px = c.width_px, c.height_px
+        write_sensor(path, *lens, size_px, rate_hz=rate_hz, bits=bits, fisheye=c.fisheye)
         write_camera_csv(path, all_ns[list(plan.frames)])
+    write_prior(mav0, prior)
     if (ranges := scene.ranges) is not None:
         write_range_sensor(mav0 / RANGE_FOLDER, ranges.scale_m, ranges.sigma_m, ranges.growth_per_m)
         write_camera_csv(mav0 / RANGE_FOLDER, all_ns[list(plan.frames)])
@@ -131,3 +138,19 @@ def write_estimator_inputs(plan: SequencePlan, mav0: Path) -> None:
         X_NB = reported_inspector(scene, plan.X_NC, X_BC, np.random.default_rng([plan.seed, 0x1]))
         sigma_theta_rad = float(np.deg2rad(scene.inspector.sigma_theta_deg))
         write_inspector(mav0, all_ns, X_NB, scene.inspector.sigma_p_m, sigma_theta_rad)
+
+
+def stated_calibration(plan: SequencePlan) -> tuple[StereoCalibration, CalibrationPrior]:
+    """What sensor.yaml says of the cameras, wrong by as much as the scene asks for, and its sigmas."""
+    (left, right), X_BC = plan.cameras, mount_pose(plan.scene.rig)
+    true = StereoCalibration(
+        left.K, right.K, left.dist, right.dist, X_BC @ left.X_CK, X_BC @ right.X_CK,
+        left.width_px, left.height_px, None, left.fisheye, right.fisheye, (right.width_px, right.height_px),
+    )  # fmt: skip
+    factor = plan.scene.rig.calibration_errors
+    if factor == 0.0:
+        return true, exact_prior(true)
+    default = default_prior(true)
+    prior = replace(default, covariance=factor**2 * default.covariance)
+    drawn = prior.draw(np.random.default_rng([plan.seed, 0x7]))
+    return changed(true, {name: -error for name, error in drawn.items()}), prior

@@ -1,5 +1,6 @@
 """The dataset as a whole: its files, the truth of every pixel; scenes that cannot be seen are refused."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -13,6 +14,7 @@ from PIL import Image
 from polhode.config import scene_settings as config
 from polhode.config.loader import load_config
 from polhode.config.scene_settings import Scene
+from polhode.records.calibration_prior import EXACT
 from polhode.records.dataset import open_sequence
 from polhode.records.read_truth import read_truth
 from polhode.runtime.errors import InputError
@@ -24,7 +26,7 @@ from polhode.simulation.dataset.frame_renderer import (
     render_products,
 )
 from polhode.simulation.dataset.plan import SequencePlan, plan_sequence, received_frames
-from polhode.simulation.dataset.sequence import simulate
+from polhode.simulation.dataset.sequence import simulate, stated_calibration
 from polhode.simulation.rendering.render import Renderer
 from tests.simulation.small_scenes import RIG, TOED_IN, files, small_scene
 
@@ -56,6 +58,25 @@ def test_the_folder_holds_what_the_contract_names(stored: tuple[Path, SequencePl
     assert set(target) == {"moments", "k1", "k2", "com_G", "R_GP", "mass_kg"}
     rows = (mav0 / "target0/data.csv").read_text().splitlines()
     assert len(rows) == 1 + 3 + 2 and {len(row.split(",")) for row in rows} == {14}
+
+
+def test_the_written_calibration_is_exact_or_off_by_a_draw_from_what_it_states(
+    stored: tuple[Path, SequencePlan],
+) -> None:
+    folder, plan = stored
+    exact = open_sequence(folder).calibration
+    assert exact.prior is not None and exact.prior.source == EXACT
+    rig = plan.scene.rig.model_copy(update={"calibration_errors": 3.0})
+    wrong = plan.scene.model_copy(update={"rig": rig})
+    drawn = []
+    for seed in range(40):
+        stated, prior = stated_calibration(replace(plan, scene=wrong, seed=seed))
+        off = [exact.K0[0, 0] - stated.K0[0, 0], exact.K1[1, 2] - stated.K1[1, 2]]
+        off.append(float(np.linalg.norm(exact.X_BC1[:3, 3]) - np.linalg.norm(stated.X_BC1[:3, 3])))
+        sigma = dict(zip(prior.names, prior.sigma.tolist(), strict=True))
+        drawn.append(np.array(off) / [sigma["cam0.fu"], sigma["cam1.cv"], sigma["cam1.p_x"]])
+    assert sigma["cam1.cv"] == pytest.approx(0.3)
+    assert (np.std(drawn, axis=0) > 0.7).all() and (np.std(drawn, axis=0) < 1.4).all()
 
 
 def test_a_sequence_reads_back_with_its_truth(stored: tuple[Path, SequencePlan]) -> None:

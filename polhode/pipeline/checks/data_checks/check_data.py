@@ -16,17 +16,12 @@ from polhode.pipeline.checks.data_checks.pose_checks import (
     swing_check,
 )
 from polhode.pipeline.checks.data_checks.rig_check import rig_checks
-from polhode.pipeline.checks.data_checks.self_calibration import (
-    best_correction,
-    calibration_limits,
-    focal_check,
-)
+from polhode.pipeline.checks.data_checks.self_calibration import best_correction, focal_check
 from polhode.pipeline.context import RunContext, doubts_of_masks
 from polhode.records.estimate import MotionEstimate
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.check_table import attempt_checks, make_check
 from polhode.run_directory.summary_schema import Check
-from polhode.run_directory.verdict import reasons_of
 
 
 @dataclass(frozen=True)
@@ -44,17 +39,12 @@ def check_data(
 ) -> Findings:
     """Doubts about the rig, the clock, the poses and the constancy of the target."""
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
-    config, has_ranges = context.config.backend, context.sequence.has_ranges
+    config = context.config.backend
     X_NR, X_NG, limits = tracks.X_NR, estimate.X_NG, list[str]()
     checks = attempt_checks(lambda: [make_check("identical images", float(context.sequence.frozen))])
 
     def calibration() -> list[Check]:
-        correction = best_correction(tracks, estimate)
-        check = focal_check(correction, has_ranges)
-        # with ranges, a wrong focal length moves nothing along the line of sight
-        if not (has_ranges or reasons_of(checks) or check.reason):
-            limits.extend(calibration_limits(correction, tracks, estimate))
-        return [check]
+        return [focal_check(best_correction(tracks, estimate), tracks)]
 
     def mass() -> list[Check]:
         found, unseen = mass_checks(tracks, estimate, config)

@@ -17,14 +17,15 @@ from polhode.geometry.camera import stereo_jacobian
 from polhode.geometry.lie import Array, Ints, hat, inverse_pose
 from polhode.records.estimate import MotionEstimate
 from polhode.records.tracks import StereoTracks
-from polhode.run_directory.check_table import CHECK_TABLE, frame_step, make_check
+from polhode.run_directory.check_table import frame_step, make_check
 from polhode.run_directory.summary_schema import Check
 
-CLEAR_SIGMAS = 6.0
-"""Standard deviations from which on a focal length is another one"""
 SIGMA_SCATTER = 2.2
 """Of the focal lengths that fit best over undisturbed bodies, in their sigmas, which know of no errors that
 observations have in common (rms of 17 sequences)"""
+UNMODELLED = 5e-4
+"""Of the focal length: features that follow the light pretend as much on bodies that turn by less than one
+revolution"""
 LANDMARKS_AT_ONCE = 500
 """Are eliminated together: bounds the memory."""
 PRIOR = 1e-6
@@ -68,51 +69,44 @@ def best_correction(tracks: StereoTracks, estimate: MotionEstimate) -> Correctio
     return _solve_correction(frame, landmark, J_pose, J_landmark, J_rig, residual)
 
 
-def focal_check(found: Correction | None, has_ranges: bool = False) -> Check:
-    """Whether the stated focal length fits.
+def focal_check(found: Correction | None, tracks: StereoTracks) -> Check:
+    """How many of its sigmas off the data put the calibration, as a wrong focal length or a wrong disparity
+    at infinity, whichever is more likely.
 
     A wrong one stretches what range images measure as well, but not along the line of sight.
     """
+    has_ranges = tracks.calibration is not None and tracks.calibration.has_ranges
+    name = "focal length of ranges" if has_ranges else "focal length"
     if found is None:
-        return make_check("focal length", None)
+        return make_check(name, None)
+    prior_px = prior_of_disparities(tracks)
+    to_focal = 1.0 / float(np.median(tracks.uvd_px[:, 2] - tracks.rig.disparity_offset_px))
+    sigma = [
+        np.linalg.norm([prior_px * to_focal, UNMODELLED, SIGMA_SCATTER * found.sigma_focal]),
+        np.linalg.norm([prior_px, UNMODELLED / to_focal, SIGMA_SCATTER * found.sigma_disparity_px]),
+    ]
+    off = np.abs([found.focal, found.disparity_px]) / sigma
     return make_check(
-        "focal length of ranges" if has_ranges else "focal length",
-        100.0 * abs(found.focal),
-        100.0 * _clear_error(found),
+        name,
+        float(off.min()),
+        percent=100.0 * abs(found.focal),
         longer="longer" if found.focal > 0 else "shorter",
         sigma=100.0 * found.sigma_focal,
         disparity_px=found.disparity_px,
     )
 
 
-def _clear_error(found: Correction) -> float:
-    return max(0.01 * (CHECK_TABLE["focal length"].limit or 0.0), CLEAR_SIGMAS * found.sigma_focal)
+def prior_of_disparities(tracks: StereoTracks) -> float:
+    """Standard deviation [px] of what errors of the calibration change in the disparities of all together.
 
-
-def unseen_focal_error(found: Correction) -> float:
-    """Relative error of the focal length that these images may hide: one that stays below the limits of
-    ``focal_check`` with a probability above 1 %."""
-    return _clear_error(found) + 2.33 * SIGMA_SCATTER * found.sigma_focal
-
-
-def calibration_limits(found: Correction | None, tracks: StereoTracks, estimate: MotionEstimate) -> list[str]:
-    """What the images cannot say of the calibration, where it matters beside the stated sigmas."""
-    if found is None:
-        return []
-    to_target_N = estimate.r_N - tracks.X_NR[:, :3, 3]
-    distance_m = np.linalg.norm(to_target_N, axis=1)
-    along = to_target_N / distance_m[:, None]
-    covariance = np.nan_to_num(estimate.covariance[:, :3, :3], posinf=1e12)
-    sigma_m = np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along))
-    error, distance = unseen_focal_error(found), float(np.median(distance_m))
-    # worth a warning above five sigmas
-    if error * distance < 5.0 * float(np.median(sigma_m)):
-        return []
-    return [
-        f"the sigmas take the calibration as right: a focal length wrong by up to {100.0 * error:.1f} % "
-        f"would not show in these images, and would shift the target by {1e3 * error * distance:.2g} mm "
-        "along the line of sight"
-    ]
+    The share of the disparity by which it is wrong is the share by which the depth of a body is stretched
+    more than its width, as by a wrong focal length.
+    """
+    if tracks.calibration is None or not len(tracks.frame):
+        return 0.0
+    sample = np.linspace(0, len(tracks.frame) - 1, 500).astype(np.int64)
+    effect = tracks.calibration.at(tracks.rig, tracks.rig.triangulate(tracks.uvd_px[sample]))
+    return float(np.linalg.norm(np.median(effect[:, 2], axis=0)))
 
 
 def _solve_correction(
