@@ -120,9 +120,9 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
         with warnings.catch_warnings():
             if not general.debug:
                 # Of libraries, to programmers: standard error holds one line. What is an error stays one.
-                errors = [each for each in warnings.filters if each[0] == "error"]
+                decided = [each for each in warnings.filters if each[0] in ("error", "ignore")]
                 warnings.simplefilter("ignore")
-                warnings.filters[:0] = errors  # type: ignore[index]
+                warnings.filters[:0] = decided  # type: ignore[index]
             answer = _dispatch(words)
     except KeyboardInterrupt as stop:
         number = received()
