@@ -215,10 +215,7 @@ def run_rows(content: StoredRun) -> list[TableRow]:
         TableRow("landmarks", f"{summary.landmarks}"),
         TableRow("observations", f"{summary.observations}"),
     ]
-    if summary.calibration is not None:
-        rows.append(TableRow("calibration's sigmas", summary.calibration.source))
-    elif summary.noise is not None:
-        rows.append(TableRow("calibration's sigmas", "none: taken as exact"))
+    rows += calibration_rows(summary)
     if (noise := summary.noise) is not None:
         rows += [
             TableRow(name, f"{value:.3f}", "px")
@@ -329,15 +326,14 @@ def sigma_rows(content: StoredRun) -> list[tuple[str, str, tuple[str, ...]]]:
         ("centre of mass, along G", "mm", cells(1e3 * com)),
         ("principal axes, about P", "deg", cells(np.rad2deg(axes))),
         *((f"inertia ratio k{k}", "", (cell,)) for k, cell in enumerate(cells(ratios), start=1)),
-        *calibration_rows(summary),
     ]
 
 
-def calibration_rows(summary: Summary) -> list[tuple[str, str, tuple[str, ...]]]:
-    """(quantity, unit, parts of the sigma of its length at the end: by images, calibration, both)."""
+def calibration_rows(summary: Summary) -> list[TableRow]:
+    """Whence the sigmas of the calibration are, and the parts of each sigma at the end of the run."""
     if (found := summary.calibration) is None:
-        return []
-    rows, degrees = list[tuple[str, str, tuple[str, ...]]](), float(np.rad2deg(1.0))
+        return [] if summary.noise is None else [TableRow("calibration's sigmas", "none: taken as exact")]
+    rows, degrees = [TableRow("calibration's sigmas", found.source)], float(np.rad2deg(1.0))
     for name, part, unit, scale in (
         ("position", found.position_m, "mm", 1e3),
         ("velocity", found.velocity_m_s, "mm/s", 1e3),
@@ -348,10 +344,9 @@ def calibration_rows(summary: Summary) -> list[tuple[str, str, tuple[str, ...]]]
         ("inertia ratio k1", found.k1, "", 1.0),
         ("inertia ratio k2", found.k2, "", 1.0),
     ):
-        images = np.inf if part.images is None else part.images
-        values = images, part.calibration, float(np.hypot(images, part.calibration))
-        cells = tuple(f"{scale * value:.3g}" if np.isfinite(value) else "no bound" for value in values)
-        rows.append((f"{name}, at the end: by the images, by the calibration, both", unit, cells))
+        images = "no bound" if part.images is None else f"{scale * part.images:.3g}"
+        value = f"{images} by the images, {scale * part.calibration:.2g} by the calibration"
+        rows.append(TableRow(f"σ {name}, at the end", value, unit))
     return rows
 
 
