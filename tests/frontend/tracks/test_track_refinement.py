@@ -1,6 +1,7 @@
 """PatchAlignment finds shifts of a few hundredths of a pixel; tracks agree better on the motion once
 refined."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,15 @@ from polhode.frontend.matching.matchers import SoftmaxMatcher
 from polhode.frontend.matching.pairs import PairMatch
 from polhode.frontend.matching.ransac import ransac_rigid
 from polhode.frontend.rectification import make_rectifier, rectified_pair
-from polhode.frontend.tracks.track_refinement import align_patches, disparity_slopes, refine_tracks
+from polhode.frontend.tracks.track_refinement import (
+    align_patches,
+    choose_references,
+    disparity_slopes,
+    refine_tracks,
+)
 from polhode.frontend.tracks.tracks import Association, join_matches
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import inverse_pose, transform_points
+from polhode.geometry.lie import exp_so3, inverse_pose, transform_points
 from polhode.geometry.rigid_fit import fit_rigid
 from polhode.records.dataset import open_sequence
 from polhode.records.estimate import InitialMotion
@@ -109,6 +115,19 @@ def test_refined_tracks_agree_better_on_a_motion_and_most_observations_stay() ->
     assert np.all((stays == was) | (stays == -1))
     assert np.sum(stays >= 0) > 0.6 * np.sum(was >= 0)
     assert all(np.isfinite(frame.uvd_px).all() and (frame.sigma_px > 0).all() for frame in after)
+
+
+def test_the_reference_of_a_landmark_is_the_view_that_faces_the_camera_most() -> None:
+    seen = first_features(make_world(1).frames[0], 2)
+    back = np.diag([1.0, -1.0, -1.0])
+    # the first frame sees one surface aslant and the other from the front, the second the other way round
+    axes = np.stack([exp_so3([0.9, 0.0, 0.0]) @ back, back])
+    frames = [replace(seen, R_RS=axes), replace(seen, R_RS=axes[::-1])]
+    label = np.arange(2)
+    motion = InitialMotion(np.tile(np.eye(4), (2, 1, 1)), np.ones(2, bool))
+    chosen = choose_references(frames, Association((label, label)), motion)
+    np.testing.assert_array_equal(chosen.frame, [1, 0])
+    np.testing.assert_array_equal(chosen.feature, label)
 
 
 def test_features_without_axes_are_left_alone() -> None:
