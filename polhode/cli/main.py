@@ -119,10 +119,8 @@ def _outcome(words: list[str], general: GeneralOptions) -> Outcome:
             raise InputError("--quiet and --verbose contradict each other: give one of them")
         with warnings.catch_warnings():
             if not general.debug:
-                # Of libraries, to programmers: standard error holds one line. What is an error stays one.
-                decided = [each for each in warnings.filters if each[0] in ("error", "ignore")]
-                warnings.simplefilter("ignore")
-                warnings.filters[:0] = decided  # type: ignore[index]
+                # Of libraries, to programmers: standard error holds one line. What the caller decided stands.
+                warnings.simplefilter("ignore", append=True)
             answer = _dispatch(words)
     except KeyboardInterrupt as stop:
         number = received()
