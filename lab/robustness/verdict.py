@@ -89,7 +89,7 @@ def judged_runs(lines: list[dict[str, Any]]) -> Judged:
 
 
 def _rate_missed(line: dict[str, Any]) -> bool:
-    """Whether a run of ``lab.trust`` that leaves the rate undetermined is off by more than what counts
+    """Whether a run of ``lab.missions`` that leaves the rate undetermined is off by more than what counts
     as found there: it claims next to nothing, and is not good for that reason.
     """
     return "rate" not in line["claims"] and line.get("rate_error_deg_s", 0.0) > FOUND_DEG_S

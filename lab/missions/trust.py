@@ -1,6 +1,6 @@
 """Whether runs can be trusted: sigmas, coverage, verdicts, intervals, mesh and the time of the checks.
 
-    python -m lab.trust.trust [--groups configs new] [--names ...] [--table] [--short]
+    python -m lab.missions.trust [--groups configs new] [--names ...] [--table] [--short]
 
 Groups: the scenes of configs/ (with configs/ts38.yaml); new ones, which nothing was tuned on. Each scene is
 simulated, run with configs/default.yaml and judged, and is a row of the record; an interrupted benchmark goes
@@ -21,9 +21,9 @@ from lab.command import LIGHT, RECORDS, ROOT, Record, Short, Workers, command
 from lab.presentation import print_table
 from lab.record import Case, complete, measured
 from lab.robustness.judge import OUTCOMES, outcome_of
-from lab.trust.consistency import QUANTITIES, holds, pooled
-from lab.trust.judgement import judgement
-from lab.trust.new_scenes import KINDS, new_scene
+from lab.missions.consistency import QUANTITIES, holds, pooled
+from lab.missions.judgement import judgement
+from lab.missions.new_scenes import KINDS, new_scene
 from polhode.config.loader import load_config
 from polhode.pipeline.run import run
 from polhode.runtime.errors import RunFailure

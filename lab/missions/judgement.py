@@ -8,7 +8,7 @@ import numpy as np
 
 from lab.mapping.mesh_quality import within_sigma
 from lab.robustness.judge import judged
-from lab.trust.consistency import consistency_of
+from lab.missions.consistency import consistency_of
 from polhode.geometry.lie import Ints, inverse_pose
 from polhode.mapping.mesh_files import read_ply
 from polhode.records.metrics import States, motion_errors
