@@ -159,8 +159,8 @@ BENCHMARKS = (
               "runs/rules -o runs/rules_of_thumb.yaml --held-back 30",
               "docs/study_results/random_scenes --stored --held-back 30"),
     Benchmark("expectations", "studies.expectations", "docs/expect.md", 1, short=""),
-    Benchmark("trust", "trust.trust", "docs/trust.md", 240,
-              short="--short --record runs/short/records/trust"),
+    Benchmark("missions", "missions.missions", "docs/trust.md", 240,
+              short="--short --record runs/short/records/missions"),
     Benchmark("mutation", "mutation.catch", "docs/testing.md", 30),
 )  # fmt: skip
 """The scenes come first: they make the runs that others need."""

@@ -1,9 +1,11 @@
-"""Trust: whether sigmas, intervals and verdicts of runs hold, over many scenes.
+"""Missions: whether sigmas, intervals, predictions and verdicts of runs hold, over one seeded set.
 
-In: scenes of configs/, new ones. Out: tables of consistency, verdicts and costs (docs/trust.md).
+In: missions that are drawn, half of their bodies held back from every choice. Out: the tables of docs/trust.md.
 
-    trust           the command: simulates, runs, judges, prints
-    new_scenes      scenes that nothing was tuned on, by a seeded generator
+    missions        the command: flies, judges, prints
+    draw            the set: bodies, motions, lights, rigs, inspectors
+    fly             one mission: simulated, run
     judgement       one run: verdict, errors, consistency, intervals, mesh, time of the checks
+    predictions     its predictions against what came
     consistency     normalised squared errors and coverage, of one run and pooled
 """

@@ -6,7 +6,7 @@ its missions (``Mission.is_held_back``). ``TUNED_DRAW`` is the draw that limits 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,10 @@ class Mission:
     """Whether its body is of the half that no choice may look at"""
     scene: Scene
     seed: int
+
+    def beginning(self, frames: int) -> "Mission":
+        """The same with fewer pairs."""
+        return replace(self, scene=self.scene.model_copy(update={"frames": frames}))
 
     @property
     def kinds(self) -> dict[str, str]:

@@ -1,6 +1,5 @@
 """A mission flown: simulated, run with configs/default.yaml, judged by the truth."""
 
-import json
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,16 @@ PICTURES = {"pictures.views": False, "pictures.animation": False, "mapping.level
 """What no judgement needs"""
 
 
-def fly(flown: Mission, folder: Path) -> dict[str, Any]:
-    """The row of a mission; its sequence and run remain in ``folder`` and are used again."""
+def fly(flown: Mission, folder: Path, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The row of a mission; its sequence and run remain in ``folder`` and are used again.
+
+    settings: beside those of the default configuration.
+    """
     sequence, out = folder / "sequence", folder / "run"
     if not (sequence / "mav0").is_dir():
         write_sequence(plan_sequence(flown.scene, flown.seed), sequence, Silent())
     if not (out / "summary.json").is_file():
         # summary.json says why it failed
         with suppress(RunFailure):
-            run(load_config(None, PICTURES), sequence, out, Silent())
-    return judgement(out, sequence)
+            run(load_config(None, PICTURES | (settings or {})), sequence, out, Silent())
+    return judgement(out, sequence, flown.scene.body.size_m)

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from lab.mapping.mesh_quality import within_sigma
-from lab.robustness.judge import judged
 from lab.missions.consistency import consistency_of
+from lab.missions.predictions import predictions_of
+from lab.robustness.judge import judged
 from polhode.geometry.lie import Ints, inverse_pose
 from polhode.mapping.mesh_files import read_ply
 from polhode.records.metrics import States, motion_errors
@@ -31,8 +32,8 @@ class SequenceTruth:
     later: Truth | None = None
 
 
-def judgement(run: Path, sequence: Path) -> dict[str, Any]:
-    """A row of the record."""
+def judgement(run: Path, sequence: Path, size_m: float) -> dict[str, Any]:
+    """A row of the record; size_m: of the target."""
     summary = read_summary(run)
     row: dict[str, Any] = {
         "frames": summary.frames,
@@ -47,7 +48,8 @@ def judgement(run: Path, sequence: Path) -> dict[str, Any]:
     if truth is None:
         raise InputError(f"{sequence}: no truth; simulate it")
     known = SequenceTruth(stamps_ns, truth)
-    row |= judged(run, known) | rates(run, truth)
+    row |= judged(run, known, size_m) | rates(run, truth)
+    row["predictions"] = predictions_of(run, read_truth(sequence), size_m)
     row["consistency"] = consistency_of(run, summary, known)
     row["intervals"] = intervals_of(run, summary, truth)
     row["mesh"] = mesh_shares(run, sequence, summary, truth)

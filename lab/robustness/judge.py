@@ -29,15 +29,17 @@ from polhode.runtime.errors import InputError
 
 SIGMAS = 5.0
 FLOORS = {
-    "position": (2.0, "mm"),
-    "velocity": (0.5, "mm/s"),
-    "attitude": (1.0, "deg"),
+    "position": (1.0, "mm"),
+    "velocity": (1.0, "mm/s"),
+    "attitude": (0.5, "deg"),
     "rate": (0.1, "deg/s"),
-    "com": (2.0, "mm"),
+    "com": (1.0, "mm"),
     "k": (0.02, ""),
-    "axes": (2.0, "deg"),
+    "axes": (1.0, "deg"),
 }
-"""Errors that matter in practice, with their units: smaller ones are not wrong, whatever the sigma."""
+"""Errors that matter at a target of ``SIZE_M``, with their units: smaller ones are not wrong, whatever the
+sigma. Lengths and velocities grow with the target."""
+SIZE_M = 0.3
 _UNITS = {"mm": 1e3, "mm/s": 1e3, "deg": np.rad2deg(1.0), "deg/s": np.rad2deg(1.0), "": 1.0}
 _STATES = {"position": "position", "velocity": "velocity", "attitude": "attitude", "angular_velocity": "rate"}
 
@@ -80,11 +82,11 @@ class Claim:
     """(n,)"""
 
 
-def judged(run: Path, recording: TrueMotion) -> dict[str, Any]:
+def judged(run: Path, recording: TrueMotion, size_m: float = SIZE_M) -> dict[str, Any]:
     """What the run says, and for each quantity that it claims the errors: typical, worst, in sigmas.
 
     "status" and "warnings" are those of summary.json, "checks" has value, limit and whether it is beyond of
-    each check; "claims" is empty where there is no estimate.
+    each check; "claims" is empty where there is no estimate. size_m: of the target.
     """
     summary = read_summary(run)
     said: dict[str, Any] = {
@@ -95,14 +97,22 @@ def judged(run: Path, recording: TrueMotion) -> dict[str, Any]:
     said["checks"] = {check.name: (check.value, check.limit, bool(check.reason)) for check in summary.checks}
     if summary.com_G is None:
         return {**said, "claims": {}, "wrong": []}
-    claims = {name: entry_of(name, claim) for name, claim in claims_of(run, summary, recording).items()}
+    claims = {
+        name: entry_of(name, claim, size_m) for name, claim in claims_of(run, summary, recording).items()
+    }
     wrong = [name for name, entry in claims.items() if entry["wrong"]]
     return {**said, "claims": claims, "wrong": wrong, "noise": summary.noise and summary.noise.model_dump()}
 
 
-def entry_of(name: str, claim: Claim) -> dict[str, Any]:
-    """Worst and typical error of a claim, in its sigmas and in the units of FLOORS; whether it is wrong."""
+def floor_of(name: str, size_m: float) -> float:
+    """Error of a quantity that matters at a target of this size, in the unit of FLOORS."""
     floor, unit = FLOORS[name]
+    return floor * (size_m / SIZE_M if unit.startswith("mm") else 1.0)
+
+
+def entry_of(name: str, claim: Claim, size_m: float = SIZE_M) -> dict[str, Any]:
+    """Worst and typical error of a claim, in its sigmas and in the units of FLOORS; whether it is wrong."""
+    floor, unit = floor_of(name, size_m), FLOORS[name][1]
     size = np.abs(claim.errors) * _UNITS[unit]
     ratio = np.abs(claim.errors) / np.maximum(claim.sigma, 1e-300)
     return {
