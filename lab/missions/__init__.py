@@ -1,6 +1,6 @@
 """Missions: whether sigmas, intervals, predictions and verdicts of runs hold, over one seeded set.
 
-In: missions that are drawn, half of their bodies held back from every choice. Out: the tables of docs/trust.md.
+In: missions that are drawn, half of their bodies held back from every choice. Out: tables of docs/trust.md.
 
     missions        the command: flies, judges, prints
     draw            the set: bodies, motions, lights, rigs, inspectors

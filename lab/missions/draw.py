@@ -1,8 +1,8 @@
 """The missions of the laboratory: one seeded set that coverage, verdict and predictions are judged by.
 
-Each body (a family and a seed) flies in several missions, under other lights, in front of other rigs, with other
-motions. Every second body of a family is held back: nothing, no limit of a check either, is chosen by a look at
-its missions (``Mission.is_held_back``). ``TUNED_DRAW`` is the draw that limits were chosen on; others are new.
+Each body (a family and a seed) flies in several missions, under other lights, in front of other rigs, with
+other motions. Every second body of a family is held back: no limit of a check is chosen by a look at its
+missions (``Mission.is_held_back``). ``TUNED_DRAW`` is the draw that limits were chosen on; others are new.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from polhode.config.scene_settings import Scene
-from polhode.geometry.lie import Array
 
 MISSIONS = 320
 TUNED_DRAW = 1
@@ -21,8 +20,8 @@ FAMILIES: dict[str, tuple[float, float]] = {
     "free_flyer": (0.5, 0.62), "bus": (0.9, 0.36), "upper_stage": (0.55, 0.5), "dish": (0.55, 0.5),
     "truss": (0.55, 0.5), "cubesat": (0.6, 0.42), "asteroid": (0.65, 0.5),
 }  # fmt: skip
-"""By family: radius of the sphere that holds it over ``size_m``, and brightness of a white surface [full scale
-of 1000 DN] at which it is well exposed."""
+"""By family: radius of the sphere that holds it over ``size_m``, and grey value of a white surface [1000 DN]
+at which it is well exposed."""
 BODIES_EACH = 8
 """Bodies of each family"""
 Rng = np.random.Generator

@@ -2,18 +2,19 @@
 
     python -m lab.missions.missions [--first 0] [--last 320] [--half chosen] [--workers 1] [--table] [--short]
 
-Each mission is simulated, run with configs/default.yaml and judged by its truth, and is a row of the record; an
-interrupted benchmark goes on, and sequences and runs that are there are used again. ``--half``: only bodies by
-which limits were chosen, or only those held back. Tables: outcomes by half and by kind of mission; consistency
-(squared errors over their expectation, with the 95 % band; share within three sigma); predictions; for each
-check how many wrong missions it finds, finds alone, and doubts without cause. docs/trust.md explains them.
+Each mission is simulated, run with configs/default.yaml and judged by its truth, and is a row of the record;
+an interrupted benchmark goes on, and sequences and runs that are there are used again. ``--half``: only
+bodies by which limits were chosen, or only those held back. Tables: outcomes by half and by kind of mission;
+consistency (squared errors over their expectation, with the 95 % band; share within three sigma);
+predictions; for each check how many wrong missions it finds, finds alone, and doubts without cause.
+docs/trust.md explains them.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.stats import chi2
@@ -141,7 +142,7 @@ def _pooled_cell(lines: Iterable[Case], quantity: str) -> str:
 
 
 def print_predictions(lines: Sequence[Case]) -> None:
-    """Share inside the 99 % region, and for each component the mean sigma over the error, root mean square."""
+    """Share inside the 99 % region, and for each component the sigma over the error, root mean square."""
     found = [line["predictions"]["ahead"] for line in lines if "predictions" in line]
     if not found:
         return

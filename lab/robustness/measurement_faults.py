@@ -249,7 +249,7 @@ def measure(case: Case) -> Case:
     tracks = change(Seen(sequence, sun_N, rng), amount)
     row: Case = {"amount": round(amount, 5)}
     try:
-        row |= _solved(tracks, sequence, sun_N)
+        row |= _solved(tracks, sequence)
     except RunFailure as failure:
         row |= {"status": "failed", "warnings": [str(failure)], "checks": {}, "claims": {}, "wrong": []}
     return row | {"seconds": round(time.perf_counter() - begin, 1)}
@@ -264,7 +264,7 @@ class TrueSequence:
     later: Truth | None = None
 
 
-def _solved(tracks: StereoTracks, sequence: SyntheticSequence, sun_N: Array) -> dict[str, Any]:
+def _solved(tracks: StereoTracks, sequence: SyntheticSequence) -> dict[str, Any]:
     """Status, checks and claims of the back end's estimate."""
     config, clock = Config(), Stopwatch()
     start = InitialMotion(
@@ -281,7 +281,7 @@ def _solved(tracks: StereoTracks, sequence: SyntheticSequence, sun_N: Array) -> 
     )
     with clock("checks"):
         findings = check_data(context, [NO_FEATURES] * tracks.n_frames, tracks, estimate)
-        doubts = check_answer(tracks, estimate, NO_LINKS, config.backend, None, sun_N)
+        doubts = check_answer(tracks, estimate, NO_LINKS)
     box = SurfaceModel(trimesh.creation.box((0.1, 0.1, 0.1)), np.full(8, 1e-3), np.full(8, 3, dtype=np.int64))
     summary = build_summary(
         tracks, estimate, box, clock.seconds, findings.limits, checks=[*doubts, *findings.checks]

@@ -1,4 +1,4 @@
-"""Depth maps and the motion to a fused surface, and to the check that the images move as the motion says."""
+"""Depth maps and the motion to a fused surface, and to the check of a rotation about an axis of symmetry."""
 
 import logging
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ import numpy as np
 
 from polhode.geometry.lie import Array
 from polhode.mapping.fusion.field import fuse
-from polhode.pipeline.checks.answer_checks.image_motion import ImageMotion
+from polhode.pipeline.checks.answer_checks.symmetry_turn import rotation_check, views_of_pairs
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.depth_maps import DepthMaps
 from polhode.pipeline.find_motion import MotionSolution
@@ -47,8 +47,8 @@ def fused_poses(fused: SurfaceModel, motion: MotionSolution) -> Array:
 
 
 @stage("checks")
-def image_checks(context: RunContext, maps: DepthMaps, motion: MotionSolution) -> list[Check]:
-    """Whether the images of some pairs move as the motion says, and show the turn of a body of revolution."""
-    images = ImageMotion(context.rig, motion.X_RG, motion.is_measured)
-    images.compare(maps)
-    return images.checks(float(np.median(np.diff(motion.tracks.time_s))))
+def symmetry_check(context: RunContext, maps: DepthMaps, motion: MotionSolution) -> Check:
+    """Whether the images show the rotation about an axis of symmetry, where the surface has one."""
+    interval_s = float(np.median(np.diff(motion.tracks.time_s)))
+    views = views_of_pairs(maps, motion.X_RG, motion.is_measured, context.rig)
+    return rotation_check(views, context.rig, interval_s)

@@ -6,7 +6,7 @@ import numpy as np
 
 from polhode.backend import align_online_estimate, estimate_online, window_warnings
 from polhode.frontend.features.stereo import StereoFeatures
-from polhode.pipeline.checks.answer_checks.check_answer import check_answer, check_surface, with_sun_check
+from polhode.pipeline.checks.answer_checks.check_answer import check_answer
 from polhode.pipeline.checks.data_checks.check_data import Findings, check_data
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.find_motion import MotionSolution
@@ -16,7 +16,7 @@ from polhode.pipeline.runner import stage
 from polhode.pipeline.stream_results import Streamed
 from polhode.records.estimate import OnlineEstimate
 from polhode.records.surface import SurfaceModel
-from polhode.run_directory.summary_schema import Check, Coverage, Intervals, Physics
+from polhode.run_directory.summary_schema import Check, Coverage, Intervals
 
 
 @stage("backend", ["backend.for_window"])
@@ -38,23 +38,11 @@ def data_checks(context: RunContext, features: Sequence[StereoFeatures], motion:
     return check_data(context, features, motion.tracks, motion.estimate)
 
 
-@stage("checks", ["backend"], is_stored=False)
-def answer_checks(context: RunContext, motion: MotionSolution, online: OnlineEstimate | None) -> list[Check]:
-    """Doubts about the motion, from its measurements alone."""
-    backend = context.config.backend
-    return check_answer(motion.tracks, motion.estimate, motion.links, backend, online, None)
-
-
 @stage("checks", is_stored=False)
-def surface_checks(
-    context: RunContext,
-    motion: MotionSolution,
-    coloured: Coloured,
-    compared: tuple[Physics | None, Sentences],
-) -> list[Check]:
-    """Doubts about the motion, from the surface that it gives."""
-    shown, mesh = (context.sequence, context.rectifier), coloured.surface.mesh
-    return check_surface(*shown, motion.tracks, motion.estimate, mesh, compared[0], coloured.sun_N)
+def answer_checks(context: RunContext, motion: MotionSolution) -> list[Check]:
+    """Doubts about the motion, from its measurements alone."""
+    del context
+    return check_answer(motion.tracks, motion.estimate, motion.links)
 
 
 @stage("fusion", ["backend"], is_stored=False)
@@ -69,18 +57,10 @@ def motion_intervals(
 
 
 @stage("checks", is_stored=False)
-def all_checks(
-    context: RunContext,
-    motion: MotionSolution,
-    coloured: Coloured,
-    moving: list[Check],
-    doubts: list[Check],
-    of_surface: list[Check],
-    data: Findings,
-) -> list[Check]:
-    """Of images, answer, surface and data; the one against the Sun again, as its direction is known now."""
-    answer = with_sun_check(doubts, motion.tracks, motion.estimate, coloured.sun_N)
-    return [*moving, *answer, *of_surface, *data.checks]
+def all_checks(context: RunContext, turning: Check, doubts: list[Check], data: Findings) -> list[Check]:
+    """Of images, answer and data."""
+    del context
+    return [turning, *doubts, *data.checks]
 
 
 @stage("checks", ["backend"], is_stored=False)

@@ -7,7 +7,7 @@ from polhode.config import Config
 from polhode.pipeline import finish_surface as finish
 from polhode.pipeline import judge_motion as judge
 from polhode.pipeline import write_results as write
-from polhode.pipeline.build_surface import fuse_depth, image_checks
+from polhode.pipeline.build_surface import fuse_depth, symmetry_check
 from polhode.pipeline.correspondences import features_of_frames, match_features
 from polhode.pipeline.depth_maps import depth_maps_of
 from polhode.pipeline.find_motion import best_motion, first_motion, initial_motion, second_correspondences
@@ -79,9 +79,9 @@ def fill_run_folder(
         run(write.write_online, folder, online)
 
     data = run(judge.data_checks, features, motion)
-    doubts = run(judge.answer_checks, motion, online)
+    doubts = run(judge.answer_checks, motion)
     fused = run(fuse_depth, depth, motion)
-    moving = run(image_checks, depth, motion)
+    turning = run(symmetry_check, depth, motion)
     views = run(finish.views_of_surface, fused, motion)
     coloured = run(finish.colour_surface, fused, views)
     run(write.write_pictures, folder, motion, coloured)
@@ -90,9 +90,8 @@ def fill_run_folder(
     covered = run(finish.cover, coloured, views)
     compared = run(finish.compare_mass, coloured, motion)
     shape = run(finish.describe_shape, motion, views, coloured, covered, levels, compared)
-    of_surface = run(judge.surface_checks, motion, coloured, compared)
     intervals = run(judge.motion_intervals, motion, coloured, covered)
-    checks = run(judge.all_checks, motion, coloured, moving, doubts, of_surface, data)
+    checks = run(judge.all_checks, turning, doubts, data)
     warnings = run(judge.all_warnings, streamed, answer, fused, data, intervals)
     run.finish()
     return report_run(run, written, answer, coloured, shape, checks, intervals, warnings)

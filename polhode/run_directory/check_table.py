@@ -96,18 +96,6 @@ CHECK_TABLE = {
         at_least=True),
     # with fewer, the robust steps after them cope
     "doubtful masks": CheckRow("pairs with doubtful segmentation masks", "%", 20.0, "{doubts}"),
-    # of the answer
-    "image motion": CheckRow(
-        "texture with residual optical flow above 2 px between successive pairs", "%", 40.0,
-        "the images do not move as the motion found: from one pair to the next, {value:.0f}% of the "
-        "textured surface is displaced by more than 2 px (usual: below 20%); outlines, rings or "
-        "reflections that stand still on a turning target may have been taken for its motion"),
-    # sound runs have at most 4 %
-    "rendered model": CheckRow(
-        "texture with optical flow above 1.5 px between image and rendered model", "%", 10.0,
-        "the surface, moved by the motion found, does not look like the images: {value:.0f}% of their "
-        "texture is displaced by more than 1.5 px against its pictures (usual: below 4%); the motion may "
-        "not be that of the surface"),
     # right rates have at least 0.2, and mostly 0.4 to 0.95, those of a still outline at most 0.04
     "symmetry rotation": CheckRow(
         "contrast between the best and the second-best rotation about the symmetry axis", "", 0.15,
@@ -115,47 +103,6 @@ CHECK_TABLE = {
         "doubtful, since "
         "{doubt} one that differs by {rate_deg_s:.1f} deg/s (correlation {own:.2f} and {other:.2f}, "
         "usual: 0.5 and 0)", at_least=True),
-    "prediction": CheckRow(
-        "prediction from the first 70 % of the observations against the full solution", "sigma", 3.0,
-        "the motion up to {until_s:g} s predicts another {quantity} at the end than all measurements "
-        "give ({value:.1f} sigma): the target may not be one body that moves freely, or the clock, the "
-        "poses or the associations are wrong"),
-    "halves": CheckRow("difference between the solutions of two random halves of the landmarks", "sigma", 3.0,
-        "two halves of the landmarks, chosen at random, give another {quantity} ({value:.1f} sigma of "
-        "the difference): the standard deviations are too small by about this factor, or some landmarks "
-        "are not fixed to the target"),
-    "outline": CheckRow("difference between the solutions of outline and interior landmarks", "sigma", 3.5,
-        "landmarks near the outline and those of the interior, solved apart, give another {quantity} "
-        "({value:.1f} sigma of the difference): the standard deviations are too small by about this "
-        "factor, or some landmarks are not fixed to the target; outlines that stand still on a turning "
-        "target, depth at oblique surfaces or the calibration may be the cause"),
-    "residuals by frame": CheckRow("mean residual of the disparity per frame", "sigma", 2.5,
-        "the disparities of whole frames differ from the motion by {value:.1f} times what their noise "
-        "allows: a step of the calibration, or a motion that is not the one assumed, may be the cause"),
-    "step of residuals": CheckRow("largest step of the disparity residuals in time", "sigma", 4.0,
-        "about frame {frame} the disparities step away from the motion by {value:.1f} standard errors: a "
-        "camera may have been knocked, or the target pushed"),
-    "residuals of u, v by region": CheckRow("mean residual of u and v per region of the image", "sigma", 2.0,
-        "residuals of u and v depend on the region of the image, by {value:.1f} times what their noise "
-        "allows: the calibration or the cameras' synchronisation may be wrong, or features slide over "
-        "the surface"),
-    "residuals of disparity by region": CheckRow(
-        "mean residual of the disparity per region of the image", "sigma", 3.0,
-        "residuals of the disparity depend on the region of the image, by {value:.1f} times what their "
-        "noise allows: the calibration or the cameras' synchronisation may be wrong, or features slide "
-        "over the surface"),
-    "residuals by disparity": CheckRow("correlation of the disparity residuals with the disparity", "", 0.12,
-        "residuals of the disparity follow the disparity (correlation {value:.2f}): near and far parts "
-        "of the target move differently than one rigid body seen by this rig; check the calibration and "
-        "the cameras' synchronisation"),
-    # information: the covariance takes account of it, and right and wrong runs hardly differ by it
-    "residuals from frame to frame": CheckRow(
-        "correlation of a landmark's residuals in successive frames", "", None, ""),
-    # undisturbed runs have up to 3.9
-    "sun": CheckRow("drift of the landmarks with the direction of the Sun", "sigma", 5.0,
-        "landmarks slide over the surface by {slide_mm:.2g} mm as the Sun's direction changes by a "
-        "radian ({value:.1f} sigma): shades were taken for marks of the surface, and the motion follows "
-        "them in part"),
     # sound scenes of configs/scenes have 0 to 4 %, axisymmetric 10 %, minor_axis 20 %
     "links": CheckRow(
         "relative poses from matching alone that differ from the motion by more than 5 deg", "%", 15.0,
@@ -166,22 +113,11 @@ CHECK_TABLE = {
         "the relief of the target hardly shows in the disparities ({value:.0f} sigma a frame): the same "
         "body turned inside out, rotating the other way, would fit these images almost as well; come "
         "closer or use a longer baseline", at_least=True),
-    # information: the ambiguities that matter are in the sigmas (backend/uncertainty/ambiguity)
-    "runner-up": CheckRow("cost of the second-best local minimum above the best", "", None, ""),
     # thruster bursts have up to 0.9; of 35 good runs with a push, those whose clock did not jump up to 3.1
     "push": CheckRow("displacement beyond what a disturbance can cause", "sigma", 4.0,
         "between {start_s:.1f} s and {end_s:.1f} s the target is displaced by {excess_mm:.2g} mm more "
         "than its change of velocity explains ({sigmas:.1f} sigma): no push does this; a camera or the "
         "inspector's pose may have jumped, or a part left the target"),
-    # of sixteen scenes of configs/scenes the worst component is off by 1.9 sigma of the causal estimate
-    "window": CheckRow(
-        "difference between the causal and the smoothed estimate at the last frame", "sigma", 4.0,
-        "the causal estimate ends {value:.1f} sigma away from the smoothed one: one of the two has not "
-        "found the motion"),
-    "centre of volume": CheckRow(
-        "offset of the centre of mass from the centroid of the volume", "% of the size", 100.0,
-        "the centre of mass is {offset_mm:.3g} mm away from that of the volume, which is {size_mm:.3g} "
-        "mm large: no body of this surface has it there; motion or surface is wrong"),
     # of the estimate as such
     "frames": CheckRow("frames with measurements", "%", 50.0,
         "fewer than half of the frames have measurements; the others are bridged by the dynamics",

@@ -115,11 +115,11 @@ def test_a_damaged_summary_is_refused_in_one_line(content: str | None, words: st
 
 
 def test_a_check_that_does_not_hold_makes_the_run_degraded(example: Any) -> None:
-    none = make_check("window", None)
-    good, bad = make_check("window", 4.0), make_check("window", 4.01)
-    assert none.value is None and none.reason == good.reason == "" and bad.limit == 4.0
-    assert bad.reason.startswith("the causal estimate ends 4.0 sigma away")
-    assert make_check("window", 4.01, 5.0).reason == ""
+    none = make_check("links", None)
+    good, bad = make_check("links", 15.0), make_check("links", 15.1)
+    assert none.value is None and none.reason == good.reason == "" and bad.limit == 15.0
+    assert bad.reason.startswith("15% of the links between frames")
+    assert make_check("links", 15.1, 16.0).reason == ""
     few: dict[str, Any] = {"start_s": 1.0, "end_s": 2.0, "count": "5 landmarks", "others": ""}
     assert (
         make_check("connection", 6).reason == ""

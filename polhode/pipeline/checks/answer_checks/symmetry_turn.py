@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from polhode.geometry.camera import RectifiedRig
-from polhode.geometry.lie import Array, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.geometry.lie import Array, Bools, exp_so3, inverse_pose, log_so3, make_pose, transform_points
+from polhode.records.metrics import angle_deg
 from polhode.records.surface import DepthMap
 from polhode.run_directory.check_table import make_check
 from polhode.run_directory.summary_schema import Check
@@ -34,6 +35,9 @@ MAX_SLIP = 0.1
 ones have 0.04 to 0.09, other bodies at least 0.12."""
 APART_PX = 6.0
 """Displacement of the surface from where on a turn is another one."""
+MAX_PAIRS, MAX_TURN_DEG = 10, 40.0
+"""Pairs of successive frames that are compared, chosen evenly; rotation between them, beyond which the
+surface looks too different."""
 MAX_SIDE_PX = 640
 """Larger pictures are reduced."""
 MIN_POINTS, MAX_POINTS = 300, 2500
@@ -80,6 +84,20 @@ class Axis:
     """Velocity along the normals over that of the points, root mean square"""
     radius_m: float
     """Of the points from the axis, root mean square"""
+
+
+def views_of_pairs(
+    maps: Sequence[DepthMap], X_RG: Array, measured: Bools, rig: RectifiedRig
+) -> list[PairView]:
+    """Some pairs of successive frames. maps: of all F frames, in order; X_RG (F, 4, 4); measured (F,): with
+    measurements of their own.
+    """
+    R = X_RG[:, :3, :3]
+    turn_deg = angle_deg(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    fit = 1 + np.flatnonzero((turn_deg < MAX_TURN_DEG) & measured[:-1] & measured[1:])
+    at = np.linspace(0, len(fit) - 1, min(MAX_PAIRS, len(fit))).round().astype(np.int64)
+    pairs = (pair_view(maps[k - 1], maps[k], (X_RG[k - 1], X_RG[k]), rig) for k in fit[at].tolist())
+    return [view for view in pairs if view is not None]
 
 
 def pair_view(

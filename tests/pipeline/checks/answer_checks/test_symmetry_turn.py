@@ -7,8 +7,12 @@ import pytest
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.pipeline.checks.answer_checks import symmetry_turn
-from polhode.pipeline.checks.answer_checks.image_motion import ImageMotion
-from polhode.pipeline.checks.answer_checks.symmetry_turn import MAX_SLIP, slippable_axis
+from polhode.pipeline.checks.answer_checks.symmetry_turn import (
+    MAX_SLIP,
+    rotation_check,
+    slippable_axis,
+    views_of_pairs,
+)
 from polhode.records.surface import DepthMap
 from polhode.run_directory.summary_schema import Check
 
@@ -65,9 +69,8 @@ def turn_check_of(marks: Array, found_deg: float, box: bool = False) -> Check:
     # about the axis along v; u grows with the angle, as seen from the camera
     turns = exp_so3(np.outer(-np.deg2rad(found_deg) * np.arange(FRAMES), [0.0, 1.0, 0.0]))
     X_RG = make_pose(turns, np.tile([0.0, 0.0, DISTANCE_M], (FRAMES, 1)))
-    images = ImageMotion(RIG, X_RG, np.ones(FRAMES, dtype=np.bool_))
-    images.compare([frame(marks, STEP_DEG * k, box) for k in range(FRAMES)])
-    return images.checks(0.5)[1]
+    maps = [frame(marks, STEP_DEG * k, box) for k in range(FRAMES)]
+    return rotation_check(views_of_pairs(maps, X_RG, np.ones(FRAMES, dtype=np.bool_), RIG), RIG, 0.5)
 
 
 def test_the_turn_of_a_marked_body_shows(monkeypatch: pytest.MonkeyPatch) -> None:
