@@ -6,7 +6,8 @@ with itself at the wrong rate, and no residual shows it.
 
 1. The axis: the rotation that moves the surface along itself. Of all screw motions w x p + v it has the least
    velocity along the normals ("slippable", Gelfand and Guibas, Shape segmentation using local slippage
-   analysis, SGP 2004). A body is symmetric if that velocity is small against the velocity of its points.
+   analysis, SGP 2004). A body is symmetric if that velocity is small against the velocity of its points, and
+   if points that are moved along remain within the outline: plates move along themselves, too, but leave it.
 2. The marks: the grey values, less their local mean, less their median along the circles around the axis.
 3. The turn: points of one frame are moved to the next by the motion found and a further turn about the axis,
    and the marks of both are correlated. The motion found must fit better than any other turn that moves the
@@ -35,6 +36,9 @@ MAX_SLIP = 0.1
 ones have 0.04 to 0.09, other bodies at least 0.12."""
 APART_PX = 6.0
 """Displacement of the surface from where on a turn is another one."""
+MAX_BEYOND = 0.3
+"""Share of the points that leave the outline as they are turned about the axis of a body of revolution.
+Dishes and stages have up to 0.16, a bus with two wings 0.54."""
 MAX_PAIRS, MAX_TURN_DEG = 10, 40.0
 """Pairs of successive frames that are compared, chosen evenly; rotation between them, beyond which the
 surface looks too different."""
@@ -52,6 +56,8 @@ class Picture:
     """(h, w) grey values less their local mean"""
     inside: NDArray[np.float32]
     """(h, w) 1 on the target, away from its edge"""
+    target: Bools
+    """(h, w) the target, its gaps closed"""
     first_px: Array
     """(2,) pixel (u, v) of the full image at its corner"""
     stride: int
@@ -125,7 +131,7 @@ def rotation_check(views: Sequence[PairView], rig: RectifiedRig, interval_s: flo
     axis = slippable_axis(
         np.concatenate([view.p_G for view in views]), np.concatenate([view.normal_G for view in views])
     )
-    if axis.slip > MAX_SLIP:
+    if axis.slip > MAX_SLIP or share_beyond_outline(views, axis, rig) > MAX_BEYOND:
         return make_check(key, None)
     per_rad_px = axis.radius_m * float(np.median([view.radius_px for view in views]))
     # turns of up to 45 deg to either side, by 1.5 px of the surface, at most 40
@@ -176,6 +182,34 @@ def slippable_axis(p_G: Array, normal_G: Array) -> Axis:
     return Axis(point, w, float(np.sqrt(max(values[0], 0.0))), float(np.sqrt(np.mean(radius**2))))
 
 
+def share_beyond_outline(views: Sequence[PairView], axis: Axis, rig: RectifiedRig) -> float:
+    """Share of the points that leave the outline as they are turned about the axis by 30 and 60 degrees.
+
+    Only where the normals hardly turn, so that light and visibility remain: what is dark is not beyond.
+    """
+    beyond, count = 0, 0
+    for R in exp_so3(np.deg2rad([-60.0, -30.0, 30.0, 60.0])[:, None] * axis.direction_G):
+        X_GG = make_pose(R, axis.point_G - R @ axis.point_G)
+        for view in views:
+            picture = view.pictures[0]
+            normal_G = view.normal_G @ R.T
+            alike = np.sum(normal_G * view.normal_G, axis=1) > np.cos(np.deg2rad(30.0))
+            X = picture.X_RG @ X_GG
+            p_R, normal_R = transform_points(X, view.p_G), normal_G @ picture.X_RG[:3, :3].T
+            seen = alike & _faces_camera(p_R, normal_R)
+            uv = (rig.project(p_R[seen])[:, :2] - picture.first_px) / picture.stride
+            inside = map_coordinates(picture.target.astype(np.float32), uv.T[::-1], order=0)
+            beyond += int(np.sum(inside < 0.5))
+            count += len(inside)
+    return beyond / count if count >= MIN_POINTS else 0.0
+
+
+def _faces_camera(p_R: Array, normal_R: Array) -> Bools:
+    """(n,) whether points with these normals are turned towards the camera."""
+    facing = -np.sum(p_R * normal_R, axis=1) > 0.25 * np.linalg.norm(p_R, axis=1)
+    return np.asarray(facing & (p_R[:, 2] > 1e-6))
+
+
 def turn_agreement(
     views: Sequence[PairView], axis: Axis, rig: RectifiedRig, turns_rad: Array
 ) -> tuple[Array, float]:
@@ -200,8 +234,7 @@ def _marks_along_circles(view: PairView, picture: Picture, X_GG: Array, rig: Rec
     out = np.full((len(view.p_G), len(X_GG)), np.nan)
     for j, X in enumerate(picture.X_RG @ X_GG):
         p_R, normal_R = transform_points(X, view.p_G), view.normal_G @ X[:3, :3].T
-        facing = -np.sum(p_R * normal_R, axis=1) > 0.25 * np.linalg.norm(p_R, axis=1)
-        seen = np.flatnonzero(facing & (p_R[:, 2] > 1e-6))
+        seen = np.flatnonzero(_faces_camera(p_R, normal_R))
         u, v = ((rig.project(p_R[seen])[:, :2] - picture.first_px) / picture.stride).T
         inside = map_coordinates(picture.inside, [v, u], order=1, mode="constant") > 0.99
         out[seen[inside], j] = map_coordinates(picture.marks, [v[inside], u[inside]], order=1)
@@ -236,8 +269,9 @@ def _picture(frame: DepthMap, X_RG: Array) -> Picture | None:
     around = np.maximum(cv2.GaussianBlur(inside, (0, 0), 3.0), 1e-3)
     marks = inside * (grey - cv2.GaussianBlur(grey * inside, (0, 0), 3.0) / around)
     away = cv2.erode(inside, np.ones((9, 9), np.uint8), borderValue=0.0)
+    closed = np.asarray(cv2.dilate(inside, np.ones((7, 7), np.uint8)) > 0.0)
     grey_marks, inner = np.asarray(marks, np.float32), np.asarray(away, np.float32)
-    return Picture(grey_marks, inner, np.array([u0, v0], dtype=np.float64), int(stride), X_RG)
+    return Picture(grey_marks, inner, closed, np.array([u0, v0], dtype=np.float64), int(stride), X_RG)
 
 
 def _surface_points(frame: DepthMap, picture: Picture, rig: RectifiedRig) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from polhode.pipeline.checks.answer_checks import symmetry_turn
 from polhode.pipeline.checks.answer_checks.symmetry_turn import (
     MAX_SLIP,
     rotation_check,
+    share_beyond_outline,
     slippable_axis,
     views_of_pairs,
 )
@@ -64,6 +65,17 @@ def frame(marks: Array, turn_deg: float, box: bool = False) -> DepthMap:
     return DepthMap(depth, np.full_like(depth, 1e-3), image, known)
 
 
+def plate(turn_deg: float) -> DepthMap:
+    """A plain plate of 3 to 1 across the line of sight, turned about it."""
+    v, u = np.mgrid[0:160, 0:160] - 79.5
+    turn = np.deg2rad(turn_deg)
+    a, b = np.cos(turn) * u + np.sin(turn) * v, np.cos(turn) * v - np.sin(turn) * u
+    known = (np.abs(a) < 60.0) & (np.abs(b) < 20.0)
+    image = np.where(known, 128, 0).astype(np.uint8)
+    depth = np.where(known, DISTANCE_M, np.nan).astype(np.float32)
+    return DepthMap(depth, np.full_like(depth, 1e-3), image, known)
+
+
 def turn_check_of(marks: Array, found_deg: float, box: bool = False) -> Check:
     """Of a target that turns by STEP_DEG from frame to frame, for the turn that was found."""
     # about the axis along v; u grows with the angle, as seen from the camera
@@ -96,6 +108,23 @@ def test_on_a_bare_body_nothing_shows_the_turn_and_one_without_symmetry_is_not_j
     assert "its surface shows too little of it" in turn_check_of(BARE, 0.0).reason
     assert "contradict it" in turn_check_of(BARE, STEP_DEG).reason
     assert turn_check_of(rich(), STEP_DEG, box=True).value is None
+
+
+def test_a_plate_moves_along_itself_but_leaves_its_outline() -> None:
+    turns = exp_so3(np.outer(np.deg2rad(STEP_DEG) * np.arange(FRAMES), [0.0, 0.0, 1.0]))
+    X_RG = make_pose(turns, np.tile([0.0, 0.0, DISTANCE_M], (FRAMES, 1)))
+    maps = [plate(STEP_DEG * k) for k in range(FRAMES)]
+    views = views_of_pairs(maps, X_RG, np.ones(FRAMES, dtype=np.bool_), RIG)
+    axis = slippable_axis(
+        *(np.concatenate([getattr(v, name) for v in views]) for name in ("p_G", "normal_G"))
+    )
+    assert axis.slip < 0.01
+    # points 4 px and more inside of the rectangle, turned, beyond it by 3 px and more
+    inner = np.mgrid[-55:56, -15:16].reshape(2, -1)
+    turned = [exp_so3(np.deg2rad([0.0, 0.0, deg]))[:2, :2] @ inner for deg in (30.0, 60.0)]
+    beyond = np.mean([(np.abs(uv[0]) > 63.0) | (np.abs(uv[1]) > 23.0) for uv in turned])
+    assert share_beyond_outline(views, axis, RIG) == pytest.approx(beyond, abs=0.03)
+    assert rotation_check(views, RIG, 0.5).value is None
 
 
 def test_the_axis_of_a_cone_is_found_from_its_points_and_normals() -> None:
