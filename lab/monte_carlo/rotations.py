@@ -1,14 +1,15 @@
-"""Rotations of 100 to 350 degrees between pairs at equal intervals: is a wrong rate stated as the only one?
+"""Rotations of 100 to 350 degrees between pairs: is a wrong rate stated as the only one?
 
     python -m lab.monte_carlo.rotations [--scenes 40] [--workers 2] [--short] [--record FILE]
 
 Random bodies, every other one with nearly equal moments, turn about an axis near the line of sight, so that
-the same side stays in view. Right: within 5 % of the rate's length. "open": more than one hypothesis, or the
-rate is not determined.
+the same side stays in view. Intervals are equal, or frames come up to 35 % of one early or late. Right:
+within 5 % of the rate's length. "open": more than one hypothesis, or the rate is not determined.
 """
 
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -31,6 +32,8 @@ OUTCOMES = (
 )
 RIGHT = 0.05
 KINDS = ("any body", "nearly equal moments")
+INTERVALS = {"equal": 0.0, "unequal": 0.35}
+"""Share by which frames come early or late, at most"""
 
 
 def main(
@@ -40,23 +43,49 @@ def main(
     record: Record = ROOT / "runs/records/rotations",
 ) -> None:
     """Measure what the record lacks, print the table."""
-    lines = complete(record, [{"seed": seed} for seed in range(2 if short else scenes)], measure, workers)
-    head = ("body", "turn between pairs [deg]", *OUTCOMES)
+    cases: list[Case] = [
+        {"seed": seed, "intervals": each} for each in INTERVALS for seed in range(1 if short else scenes)
+    ]
+    lines = complete(record, cases, measure, workers)
     rows = []
-    for kind in KINDS:
-        for low, high in ((100, 180), (180, 270), (270, 350)):
-            of = [line for line in lines if line["kind"] == kind and low <= line["turn_deg"] < high]
-            count = Counter(line["outcome"] for line in of)
-            rows.append((kind, f"{low} to {high}", *(str(count[outcome]) for outcome in OUTCOMES)))
-    print_table(head, rows)
+    for intervals in INTERVALS:
+        for kind in KINDS:
+            some = [line for line in lines if (line["case"]["intervals"], line["kind"]) == (intervals, kind)]
+            for low, high in ((100, 180), (180, 270), (270, 350)):
+                of = [line for line in some if low <= line["turn_deg"] < high]
+                count = Counter(line["outcome"] for line in of)
+                rows.append((intervals, kind, f"{low} to {high}", *(str(count[each]) for each in OUTCOMES)))
+    print_table(("intervals", "body", "turn between pairs [deg]", *OUTCOMES), rows)
+    print_odds(lines)
 
 
-def scene_of(seed: int) -> tuple[float, SyntheticScene]:
+def print_odds(lines: list[Case]) -> None:
+    """Of the hypotheses with stated odds, how many hold the truth."""
+    odds = np.array([pair for line in lines for pair in line["odds"]]).reshape(-1, 2)
+    if not len(odds):
+        return
+    rows = []
+    for low, high in pairwise((0.0, 0.1, 0.4, 0.6, 0.9, 1.01)):
+        own = odds[(odds[:, 0] >= low) & (odds[:, 0] < high)]
+        if len(own):
+            rows.append(
+                (
+                    f"{low:g} to {min(high, 1.0):g}",
+                    len(own),
+                    f"{own[:, 0].mean():.2f}",
+                    f"{own[:, 1].mean():.2f}",
+                )
+            )
+    print()
+    print_table(("stated odds", "hypotheses", "mean", "share that holds the truth"), rows, right_from=1)
+
+
+def scene_of(seed: int, jitter: float) -> tuple[float, SyntheticScene]:
     """Turn between pairs [deg] and the scene of a seed."""
     rng = np.random.default_rng([seed, 57])
     turn_deg = float(rng.uniform(100.0, 350.0))
     scene = random_scene(seed, frames=20, landmarks=200, detection=0.6, sigma_uv_px=0.3, sigma_d_px=0.3)
-    scene = replace(scene, accel_psd=1e-9, torque_psd=1e-9, station_keeping=True)
+    scene = replace(scene, accel_psd=1e-9, torque_psd=1e-9, station_keeping=True, jitter=jitter)
     if seed % 2:
         scene = replace(scene, J_G=np.eye(3) + np.diag(rng.normal(0.0, 0.01, 3)))
     # where the first frame has the line of sight, in the body
@@ -67,18 +96,20 @@ def scene_of(seed: int) -> tuple[float, SyntheticScene]:
 
 def measure(case: Case) -> Case:
     """What is stated of one scene."""
-    turn_deg, scene = scene_of(case["seed"])
+    turn_deg, scene = scene_of(case["seed"], INTERVALS[case["intervals"]])
     sequence = generate(scene, case["seed"])
     line = {"kind": KINDS[case["seed"] % 2], "turn_deg": turn_deg}
     try:
         _, estimate = cold_start(sequence, Backend(solver="gauss_newton"))
     except RunFailure:
-        return line | {"outcome": "no answer"}
+        return line | {"outcome": "no answer", "odds": []}
     true_N = sequence.truth.R_NP[-1] @ sequence.truth.w_P[-1]
     found = [each.R_NG @ each.w_G for each in estimate.hypotheses] or [estimate.R_NP[-1] @ estimate.w_P[-1]]
-    right = min(np.linalg.norm(w_N - true_N) for w_N in found) < RIGHT * np.linalg.norm(true_N)
+    rights = [bool(np.linalg.norm(w_N - true_N) < RIGHT * np.linalg.norm(true_N)) for w_N in found]
     is_open = bool(estimate.hypotheses) or not np.isfinite(estimate.covariance[-1][9:, 9:]).all()
-    return line | {"outcome": OUTCOMES[(1 if right else 3) if is_open else (0 if right else 4)]}
+    odds = [[each.odds, float(right)] for each, right in zip(estimate.hypotheses, rights, strict=False)]
+    outcome = OUTCOMES[(1 if any(rights) else 3) if is_open else (0 if any(rights) else 4)]
+    return line | {"outcome": outcome, "odds": odds}
 
 
 if __name__ == "__main__":

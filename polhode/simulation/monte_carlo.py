@@ -35,6 +35,8 @@ class SyntheticScene:
 
     frames: int = 115
     dt_s: float = 0.5
+    jitter: float = 0.0
+    """Share of the interval by which a frame comes early or late, at most."""
     landmarks: int = 2430
     detection: float = 0.21
     """Probability that a visible landmark is measured in a frame."""
@@ -115,8 +117,9 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     rng = np.random.default_rng(seed)
     J = J_SPHERES if scene.J_G is None else np.asarray(scene.J_G)
     com = np.asarray(scene.com_G)
-    time_s: Array = scene.dt_s * np.arange(scene.frames, dtype=np.float64)
-    r, v, R_NG, w_G = _motion(scene, J, rng)
+    h, at = _frame_steps(scene, seed)
+    time_s: Array = np.asarray(h * at if scene.jitter else scene.dt_s * np.arange(scene.frames))
+    r, v, R_NG, w_G = _motion(scene, J, h, at, rng)
     X_NG = make_pose(R_NG, r - R_NG @ com)
     X_NR = _camera_path(scene, time_s, r, seed)
     X_RG = inverse_pose(X_NR) @ X_NG
@@ -165,10 +168,19 @@ def generate(scene: SyntheticScene, seed: int) -> SyntheticSequence:
     return SyntheticSequence(tracks, relative, truth, X_NG, points[used % len(points)], outlier, X_NR)
 
 
-def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """States of the centre of mass and of G at the frames, under white disturbances."""
+def _frame_steps(scene: SyntheticScene, seed: int) -> tuple[float, Ints]:
+    """Step of the integration [s], and the steps (F,) at which frames are taken."""
     steps = max(4, int(np.ceil(np.linalg.norm(scene.w_G) * scene.dt_s / 0.03)))
-    h, n = scene.dt_s / steps, (scene.frames - 1) * steps
+    off = scene.jitter * steps * np.random.default_rng([seed, 80]).uniform(-1.0, 1.0, scene.frames - 1)
+    later = steps * np.arange(1, scene.frames) + np.round(off).astype(np.int64)
+    return scene.dt_s / steps, np.concatenate([[0], later])
+
+
+def _motion(
+    scene: SyntheticScene, J: Array, h: float, at: Ints, rng: np.random.Generator
+) -> tuple[Array, Array, Array, Array]:
+    """States of the centre of mass and of G at the steps ``at`` (F,) of h [s], under white disturbances."""
+    n = int(at[-1])
     middle, R_GP = np.linalg.eigvalsh(J)[1], principal_axes(J)[1]
     R = np.asarray(Rotation.random(rng=rng).as_matrix())
     noise = rng.normal(size=(n, 2, 3))
@@ -178,7 +190,7 @@ def _motion(scene: SyntheticScene, J: Array, rng: np.random.Generator) -> tuple[
     torque = noise[:, 1] * np.sqrt(scene.torque_psd / h) * middle + torque_P @ R_GP.T
     start = (np.array(scene.r_N), np.array(scene.v_N), R, np.array(scene.w_G))
     r, v, R_all, w = disturbed_motion(start, J, h, accel, torque)
-    return r[::steps], v[::steps], R_all[::steps], w[::steps]
+    return r[at], v[at], R_all[at], w[at]
 
 
 def _camera_path(scene: SyntheticScene, time_s: Array, r_N: Array, seed: int) -> Array:
