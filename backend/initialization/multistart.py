@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError
 
 from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.initialization.initialize import robust_landmarks
-from polhode.backend.initialization.rates import FAST_HINT, rate_branches, shoot
+from polhode.backend.initialization.rates import FAST_HINT, intervals_differ, rate_branches, shoot
 from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.iterate import N_CAMERA, Iterate
 from polhode.backend.problem.motion_data import MotionData
@@ -219,12 +219,17 @@ def initial_guesses(
     base = replace(base, com_G=com_G, v_N=np.tile(velocity, (tracks.n_frames, 1)))
     starts = []
     X_NG = tracks.X_NR @ initial.X_RG
-    for suffix, w_G in rate_branches(tracks.time_s, X_NG, initial.connected, max_rate_rad_s).items():
+    shots = shoot(tracks.time_s, base.R_NG, initial.connected, max_rate_rad_s)
+    branches = rate_branches(tracks.time_s, X_NG, initial.connected, max_rate_rad_s)
+    if shots and intervals_differ(data.dt_s):
+        # the number of revolutions differs from interval to interval: only shots follow it
+        branches = {suffix: shot.w_G for suffix, shot in shots.items()}
+    for suffix, w_G in branches.items():
         hypotheses = inertia_hypotheses(base.R_NG[use], w_G[use])
         guesses = {name + suffix: guess for name, guess in hypotheses.items()}
         gaps = long_gaps(tracks.time_s, initial.connected, w_G)
         starts.append(InitialGuess(replace(base, w_G=w_G), guesses, gaps, tracks, initial))
-    for suffix, shot in shoot(tracks.time_s, base.R_NG, initial.connected, max_rate_rad_s).items():
+    for suffix, shot in shots.items():
         iterate = replace(starts[0].iterate, w_G=shot.w_G)
         starts.append(replace(starts[0], iterate=iterate, guesses={"shooting" + suffix: shot.second}))
     return starts

@@ -34,6 +34,10 @@ SIGMA_RAD = 0.01
 """Standard deviation of an attitude, disturbances included."""
 MAX_EVALUATIONS = 200
 """Largest number of evaluations for one shot in one stage."""
+CLEAR_RATIO = 10.0
+"""Of the misfits of shots: where intervals differ, a wrong number of revolutions has some thousand."""
+MIN_DIFFERENCE = 0.03
+"""Of intervals from multiples of the median one, by which the number of revolutions shows."""
 SERIES_RAD = 1.0
 """Rotation that one Taylor series covers."""
 FORM = FORMS["second_moments"]
@@ -53,7 +57,9 @@ def shoot(
 ) -> dict[str, Shot]:
     """The best shot of each rotation between frames, by suffix of the hypothesis; none for short rotations.
 
-    time_s (F,), R_NG (F, 3, 3), connected (F,); max_rate_rad_s as in ``rate_branches``.
+    Where intervals differ, rotations up to a revolution in the median interval are tried, and shots that do
+    not follow all the attitudes are left out. time_s (F,), R_NG (F, 3, 3), connected (F,); max_rate_rad_s as
+    in ``rate_branches``.
     """
     index = np.flatnonzero(connected)
     run = max(np.split(index, np.flatnonzero(np.diff(index) > 1) + 1), key=len)
@@ -61,11 +67,14 @@ def shoot(
         return {}
     t, R = time_s[run] - time_s[run[0]], R_NG[run]
     turn = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-    middle = float(np.median(np.linalg.norm(turn, axis=1)))
-    count = n_rotations(middle, float(np.median(np.diff(t))), max_rate_rad_s)
-    if middle < SHOOTING_RAD and count < 2:
+    middle, dt_s = float(np.median(np.linalg.norm(turn, axis=1))), float(np.median(np.diff(t)))
+    differ = intervals_differ(np.diff(t))
+    count = n_rotations(middle, dt_s, max_rate_rad_s)
+    if middle < SHOOTING_RAD and count < 2 and not (differ and _rates_scatter(turn, np.diff(t))):
         return {}
     angle = max(float(np.linalg.norm(turn[0])), 1e-6)
+    if differ:
+        count = n_rotations(angle, float(t[1]), max_rate_rad_s or 2.0 * np.pi / dt_s)
     shots = {}
     for suffix, more in list(zip(ROTATIONS, REVOLUTIONS, strict=True))[:count]:
         first = turn[0] * (1.0 + 2.0 * np.pi * more / angle)
@@ -73,7 +82,24 @@ def shoot(
         second = FORM.second_moments(x[3:], np.eye(3))
         w_G = _rates(time_s, R_NG, connected, int(run[0]), x[:3], inertia_from_second_moments(second))
         shots[suffix] = Shot(second, w_G, misfit)
+    if differ:
+        least = min(shot.misfit for shot in shots.values())
+        shots = {
+            suffix: shot for suffix, shot in shots.items() if shot.misfit <= CLEAR_RATIO * max(least, 1.0)
+        }
     return shots
+
+
+def intervals_differ(dt_s: Array) -> bool:
+    """Whether intervals (n,) tell rotations apart: a quarter of them are no multiples of the median one."""
+    share = dt_s / np.median(dt_s)
+    return bool(np.quantile(np.abs(share - np.round(share)), 0.75) > MIN_DIFFERENCE)
+
+
+def _rates_scatter(turn: Array, dt_s: Array) -> bool:
+    """Whether the shortest rotations (n, 3) over intervals (n,) are not those of one steady motion."""
+    rate = np.linalg.norm(turn, axis=1) / dt_s
+    return bool(np.median(np.abs(np.diff(rate))) > 0.2 * np.median(rate))
 
 
 def _best(t: Array, R: Array, w_G: Array) -> tuple[Array, float]:

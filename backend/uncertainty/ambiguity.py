@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend.initialization.multistart import HypothesisFit, best_of_rotations
+from polhode.backend.initialization.rates import intervals_differ
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.geometry.lie import Array
 from polhode.records.estimate import MotionEstimate, RotationHypothesis
@@ -77,12 +78,13 @@ def open_rotations(
 ) -> tuple[OpenRotation, ...]:
     """The chosen rotations, or two where a far one was chosen alone, which may be a revolution off.
 
-    is_limited: a limit is stated, and other rotations than those that were tried are beyond it.
+    Not where intervals differ: a revolution more or less then fits none but the interval that it is fitted
+    to. is_limited: a limit is stated, and other rotations than those that were tried are beyond it.
     """
     first = chosen[0]
     is_far = first.turn_deg > TOO_FAR_DEG or (much_disturbed and first.turn_deg > FAR_DEG)
     others = {name: trials[name].misfit for name in best_of_rotations(trials) if name != first.name}
-    if len(chosen) > 1 or not is_far or (is_limited and not others):
+    if len(chosen) > 1 or not is_far or intervals_differ(dt_s) or (is_limited and not others):
         return chosen
     other = min(others, key=lambda name: others[name]) if others else None
     turn_deg = abs(360.0 - first.turn_deg) if other is None else _turn_deg(trials[other], dt_s)

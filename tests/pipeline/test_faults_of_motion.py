@@ -168,7 +168,7 @@ def test_a_rotation_that_the_images_leave_open_is_two_answers(run: Run) -> None:
         motion = read_trajectory(file)
         np.testing.assert_allclose(motion.R_NP[-1] @ motion.w_P[-1], rate, atol=0.05)
         assert np.isinf(motion.sigma_w).all()
-    few = ("--horizon", "2", "--members", "100", "--confidence", "0.97")
+    few = ("--horizon", "0.5", "--members", "100", "--confidence", "0.97")
     assert main(["plan", str(folder), "-o", str(place), *few]) == 0
     assert "the keep-out volume holds all of them" in (place / "planning.json").read_text()
     assert main(["export", str(folder), "--to", "aem", "-o", str(folder.parent / "A.aem")]) == 0
