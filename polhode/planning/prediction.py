@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.linalg import expm
+from scipy.optimize import brentq
+from scipy.special import fdtri, polygamma
 
 from polhode.geometry.lie import (
     Array,
@@ -87,6 +89,15 @@ class PredictedMotion(Prediction):
         R_NG = self.R_NP @ self.R_GP.T
         return make_pose(R_NG, self.r_N - R_NG @ self.com_G)
 
+    def region_sigmas(self, share: float) -> Array:
+        """(T, 4) sizes of the regions of r, v, theta and w, of three components each, that hold so much.
+
+        A size is the root of e^T C^-1 e at the boundary, e the error and C its block of ``covariance``.
+        """
+        freedom = np.minimum(self.degrees_of_freedom.reshape(-1, 4, 3).min(axis=2), 1e9)
+        # Hotelling's T squared, scaled to the covariance
+        return np.asarray(np.sqrt(3.0 * (freedom - 2.0) / freedom * fdtri(3.0, freedom, share)))
+
     def points_N(self, p_G: ArrayLike) -> Array:
         """Places in N [m] of points fixed to the target: (T, n, 3) of p_G (n, 3), (T, 3) of one (3,)."""
         points = np.asarray(p_G, dtype=np.float64)
@@ -113,12 +124,14 @@ def predict(
     time_s: ArrayLike,
     accel_psd: float,
     torque_psd: float,
+    level_decades: tuple[float, float] = (0.0, 0.0),
     advance: Advance = lambda: None,
 ) -> Prediction:
     """Propagate to time_s (T,), increasing, >= 0 [s] after the last state.
 
-    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment. ``advance`` is
-    called after every ROWS_AT_ONCE rows, and after the last ones.
+    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment: means; their
+    logarithms have the standard deviations level_decades. ``advance`` is called after every ROWS_AT_ONCE
+    rows, and after the last ones.
     """
     time = np.asarray(time_s, dtype=np.float64)
     grid = time if time[0] == 0.0 else np.concatenate([[0.0], time])
@@ -131,23 +144,71 @@ def predict(
     com = deviation[:, 17:20]
     moments = np.diag(R_GP.T @ last.J_G @ R_GP)
     of_axes = process_noise(moments / moments[1], last.w_G @ R_GP, time, accel_psd, torque_psd)
-    of_marks = of_axes.copy()
+    of_marks, of_noise = of_axes.copy(), np.diagonal(of_axes, axis1=1, axis2=2).copy()
+    known, of_state = _StateShare(deviation), np.empty_like(of_noise)
     for rows, R, w in _members_by_blocks(last, deviation, J, time):
         dr = deviation[:, 0:3] + time[rows, None, None] * deviation[:, 3:6]
         dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
         R_PP = np.swapaxes(R_NP[rows], 1, 2)[:, None] @ R @ R_GP
 
         dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - w_P[rows, None]
-        of_axes[rows] += _second_moments(dr, dv, log_so3(R_PP @ turn), dw)
+        own = np.concatenate([dr, dv, log_so3(R_PP @ turn), dw], axis=-1)
+        of_axes[rows] += _second_moments(own)
+        of_state[rows] = known.variance(own)
 
         lever = np.einsum("tnij,nj->tni", R, com)
         swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
         dw = (w - w_G[rows, None]) @ R_GP
-        of_marks[rows] += _second_moments(dr - lever, dv - swing, log_so3(R_PP), dw)
+        of_marks[rows] += _second_moments(
+            np.concatenate([dr - lever, dv - swing, log_so3(R_PP), dw], axis=-1)
+        )
         for covariance in (of_axes, of_marks):
             covariance[rows] = _no_worse_than_unknown(covariance[rows])
         advance()
-    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks)
+    whole = np.diagonal(of_axes, axis1=1, axis2=2)
+    by_inertia = np.maximum(whole - of_noise - of_state, 0.0)
+    parts = np.sqrt(np.stack([of_state, by_inertia, of_noise], axis=1))
+    freedom = degrees_of_freedom(of_noise, whole, level_decades)
+    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, freedom)
+
+
+class _StateShare:
+    """What of the members' errors is linear in the deviations of their last states."""
+
+    def __init__(self, deviation: Array) -> None:
+        """deviation (N, 20)"""
+        of_state_and_inertia = deviation[:, :17]
+        scale = np.sqrt(np.mean(of_state_and_inertia**2, axis=0))
+        regressors = of_state_and_inertia / np.where(scale > 0.0, scale, 1.0)
+        self._fit = np.linalg.pinv(regressors, rcond=1e-9)[:12]
+        self._state = regressors[:, :12]
+
+    def variance(self, errors: Array) -> Array:
+        """(T, 12) mean squares of that part of errors (T, N, 12)."""
+        return np.asarray(np.mean((self._state @ (self._fit @ errors)) ** 2, axis=1))
+
+
+def power_shape(decades: float) -> float:
+    """Shape of the gamma distribution of a power whose logarithm has this standard deviation; inf: exact.
+
+    A gamma distribution has a long tail towards powers that make no difference, as what is known of a
+    level that the data hardly resolve.
+    """
+    variance = (np.log(10.0) * decades) ** 2
+    if variance < 1e-6:
+        return np.inf
+    return float(np.exp(brentq(lambda log_shape: polygamma(1, np.exp(log_shape)) - variance, -20.0, 20.0)))
+
+
+def degrees_of_freedom(of_noise: Array, whole: Array, level_decades: tuple[float, float]) -> Array:
+    """(T, 12) of the distributions of Student whose kurtosis is that of errors under an uncertain level.
+
+    of_noise, whole (T, 12): variances by disturbances of the mean level, and in all. With f their ratio and c
+    the level's standard deviation over its mean the excess kurtosis is 3 f^2 c^2, Student's 6 / (n - 4).
+    """
+    share = of_noise / np.maximum(whole, 1e-300)
+    shape = np.repeat([power_shape(decades) for decades in level_decades], 6)
+    return np.asarray(4.0 + 2.0 * shape / np.maximum(share, 1e-9) ** 2)
 
 
 def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
@@ -266,9 +327,8 @@ def _members_by_blocks(
         yield rows, matrix_from_wxyz(q), parts[..., 4:]
 
 
-def _second_moments(*deviations: Array) -> Array:
-    """Mean square (T, 12, 12) of four deviations (T, N, 3) about the prediction itself."""
-    d = np.concatenate(deviations, axis=-1)
+def _second_moments(d: Array) -> Array:
+    """Mean square (T, 12, 12) of deviations (T, N, 12) about the prediction itself."""
     return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
 
 
@@ -356,9 +416,11 @@ class FinalEstimate:
     accel_psd: float
     """[(m/s^2)^2/Hz]"""
     torque_psd: float
-    """[(rad/s^2)^2/Hz], torque over the middle moment"""
+    """[(rad/s^2)^2/Hz], torque over the middle moment; both are means"""
     com_range_G: tuple[Array, Array] | None = None
     """Least and largest components (3,) of the centre of mass [m] by other bounds; None: there are none"""
+    level_decades: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of the logarithms of both levels [decades]"""
 
 
 @dataclass(frozen=True)
@@ -448,13 +510,17 @@ def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator
 
 
 class DisturbancePaths:
-    """White accelerations and torques, as random paths of position and attitude about the nominal motion."""
+    """White accelerations and torques, as random paths of position and attitude about the nominal motion.
+
+    Each path has levels of its own, as far as they are uncertain.
+    """
 
     def __init__(self, estimate: FinalEstimate, time_s: Array) -> None:
         """Prepare the steps between times (T,) > 0 [s], the first one from 0."""
         last = estimate.last
         self.step_s = np.diff(time_s, prepend=0.0)
         self.accel_psd, self.R_GP = estimate.accel_psd, last.R_GP
+        self.shapes = [power_shape(decades) for decades in estimate.level_decades]
         moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
         moments = moments / moments[1]
         middle = time_s - 0.5 * self.step_s
@@ -479,9 +545,13 @@ class DisturbancePaths:
         T = len(self.step_s)
         shift, turn = np.empty((count, T, 3)), np.empty((count, T, 3))
         x, r, v = np.zeros((count, 6)), np.zeros((count, 3)), np.zeros((count, 3))
+        accel, torque = (
+            np.sqrt(rng.gamma(shape, 1.0 / shape, (count, 1))) if np.isfinite(shape) else np.ones((count, 1))
+            for shape in self.shapes
+        )
         for k, dt in enumerate(self.step_s):
-            x = x @ self.flow[k].T + rng.normal(size=(count, 6)) @ self.root[k].T
-            kick, inside = rng.normal(size=(2, count, 3)) * np.sqrt(self.accel_psd * dt)
+            x = x @ self.flow[k].T + torque * rng.normal(size=(count, 6)) @ self.root[k].T
+            kick, inside = accel * rng.normal(size=(2, count, 3)) * np.sqrt(self.accel_psd * dt)
             r = r + dt * (v + 0.5 * kick + inside / np.sqrt(12.0))
             v = v + kick
             shift[:, k], turn[:, k] = r, x[:, :3] @ self.R_GP.T
