@@ -169,7 +169,7 @@ class SlidingWindow:
         """Estimate what is fixed while solving: noise, disturbances, the choice among inertias."""
         estimate_noise(state)
         solve_history(state, history)
-        if self._config.process_noise == "estimated" and len(history.frames) >= 20:
+        if self._config.process_noise == "estimated":
             estimate_levels(state, history)
         choose_inertia(state, history)
         return solve_history(state, history, self.answer)

@@ -1,27 +1,44 @@
-"""Known forces and torques, and unknown disturbances: how well they are estimated, Monte Carlo.
+"""Known forces and torques, unknown disturbances, and their level: how well they are estimated, Monte Carlo.
 
     python -m lab.monte_carlo.disturbances [--seeds 20] [--workers 1] [--short] [--record FILE]
 
 60 frames of 0.5 s, 300 landmarks, pixel noise 1 px, process noise 1e-8, both estimated. NEES: mean normalised
 squared error, 1 is expected; coverage: share of the states' components within three standard deviations.
+
+Levels: five times as many sequences of seven motions, 0.3 px, under levels drawn from the prior, and as many
+without disturbances; predictions of 60 s against the truth, levels of parts of a sequence against each other,
+against the truth and against the sliding window's.
 """
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import gamma
 
 from lab.command import RECORDS, Record, Seeds, Short, Workers, command
 from lab.monte_carlo.bound import cold_start
+from lab.monte_carlo.window import some_frames
 from lab.presentation import print_table
 from lab.record import Case, complete
+from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
+from polhode.backend.problem.level_prior import LevelPrior
+from polhode.backend.window.estimator import SlidingWindow
+from polhode.backend.window.frame import frames_of
+from polhode.compare.problem.sources import SCENES
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array, log_so3
 from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.planning.prediction import FinalState, power_shape, predict
 from polhode.records.estimate import MotionEstimate
+from polhode.runtime.errors import RunFailure
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
 
 RECORD = RECORDS / "pushes"
+SEEN, AHEAD_S = 60, 60.0
+"""Frames that are measured, and seconds that are predicted."""
+DRAWN, MOST_DECADES = "drawn levels", 1.5
+"""Level over the stated one that is not exceeded: with stronger disturbances the target leaves the view."""
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(
     frames=60, landmarks=300, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(MOMENTS),
@@ -48,6 +65,11 @@ def main(
     """Measure what the record lacks, print the tables."""
     draws = range(1 if short else seeds)
     known: list[Case] = [{"push": "known", "search": "found", "seed": seed} for seed in draws]
+    draws_of_levels = range(1 if short else 5 * seeds)
+    kinds = (DRAWN, "no disturbances")
+    levels: list[Case] = [
+        {"push": kind, "search": "level", "seed": seed} for kind in kinds for seed in draws_of_levels
+    ]
     unknown: list[Case] = [
         {"push": push, "search": search, "seed": seed}
         for push in list(UNKNOWN)[: 2 if short else None]
@@ -56,6 +78,9 @@ def main(
     ]
     print_known(complete(record, known, measure, workers))
     print_unknown(complete(record, unknown, measure, workers))
+    lines = complete(record, levels, measure_levels, workers)
+    for kind in kinds:
+        print_levels(kind, [line for line in lines if line["case"]["push"] == kind and "all" in line])
 
 
 def measure(case: Case) -> Case:
@@ -113,6 +138,99 @@ def whole_pushes(
         dw = (push.delta_w_P - change[1]) / push.sigma_delta_w_P
         out.append([*dv.tolist(), *dw.tolist(), float(change.any())])
     return out
+
+
+def measure_levels(case: Case) -> Case:
+    """Levels of a sequence and of its parts, with their decades, and its prediction against the truth."""
+    config = Backend(solver="gauss_newton", light_px=0.0, systematic_px=(0.0, 0.0, 0.0))
+    prior, rng = LevelPrior.of(config), np.random.default_rng([case["seed"], 52])
+    drawn = np.minimum(prior.decades * (rng.normal(size=2) - 1.0), MOST_DECADES)
+    psd = prior.stated * 10.0**drawn * (case["push"] == DRAWN)
+    scene = replace(
+        list(SCENES.values())[case["seed"] % len(SCENES)], accel_psd=psd[0], torque_psd=psd[1],
+        landmarks=800, sigma_uv_px=0.3, sigma_d_px=0.2, station_keeping=True,
+    )  # fmt: skip
+    last, seen = SEEN - 1 + round(AHEAD_S / scene.dt_s), np.arange(SEEN)
+    scene = replace(scene, frames=last + 1, dropped=tuple(range(SEEN, last + 1)))
+    whole, out = generate(scene, case["seed"]), {"truth": psd.tolist()}
+    parts = {"all": seen, "first": seen[: SEEN // 2], "second": seen[SEEN // 2 :], "third": seen[::3]}
+    for name, frames in parts.items():
+        part = some_frames(whole, frames)
+        try:
+            estimate = cold_start(part, config)[1]
+        except RunFailure:
+            continue
+        noise = estimate.noise
+        out[name] = [noise.accel_psd, noise.torque_psd, noise.accel_psd_decades, noise.torque_psd_decades]
+        if name == "all":
+            out |= prediction_errors(estimate, whole, last, state_errors(part, estimate)[1])
+            window = SlidingWindow(part.tracks.rig, config)
+            for measurements in frames_of(part.tracks):
+                window.add(measurements)
+            out["window"] = [*window.state.disturbances, *out["all"][2:]]
+    return out
+
+
+def prediction_errors(estimate: MotionEstimate, whole: SyntheticSequence, k: int, h: Array) -> Case:
+    """Of the prediction of frame k: errors (12,), sigmas, squares (4,) over those of the 99 % regions."""
+    mass, noise, truth = estimate.mass, estimate.noise, whole.truth
+    J_G, by_parameters = inertia_by_parameters(mass.J_G, FORMS[Backend().inertia])
+    pose, body = (
+        (estimate.R_NP[-1] @ mass.R_GP.T, mass.R_GP @ estimate.w_P[-1]),
+        estimate.covariance_last_body,
+    )
+    assert body is not None
+    end = FinalState(estimate.r_N[-1], estimate.v_N[-1], *pose, J_G, mass.R_GP, by_parameters, body)
+    decades = noise.accel_psd_decades, noise.torque_psd_decades
+    found = predict(end, [AHEAD_S], noise.accel_psd, noise.torque_psd, decades)
+    turn = log_so3(found.R_NP[0].T @ truth.R_NP[k] @ np.diag(h))
+    errors = np.ravel(
+        [truth.r_N[k] - found.r_N[0], truth.v_N[k] - found.v_N[0], turn, truth.w_P[k] * h - found.w_P[0]]
+    )
+    blocks = [np.ix_(rows, rows) for rows in np.arange(12).reshape(4, 3)]
+    squares = [
+        errors[a[:, 0]] @ np.linalg.solve(found.covariance[0][a, b], errors[a[:, 0]]) for a, b in blocks
+    ]
+    sigma = np.sqrt(np.diag(found.covariance[0])).tolist()
+    return {"error": errors.tolist(), "sigma": sigma,
+            "squares": (np.array(squares) / found.region_sigmas[0] ** 2).tolist()}  # fmt: skip
+
+
+def print_levels(kind: str, lines: list[Case]) -> None:
+    """Predictions by quantity, and levels by pairs of parts."""
+    error, sigma, squares = (
+        np.array([line[name] for line in lines]) for name in ("error", "sigma", "squares")
+    )
+    root = (np.sqrt(np.mean(each**2, axis=0)) for each in (sigma, error, error / sigma))
+    spread, missed, ratio = root
+    rows: list[list[object]] = []
+    for n, name in enumerate(("r [m]", "v [m/s]", "theta [rad]", "w [rad/s]")):
+        own = slice(3 * n, 3 * n + 3)
+        cells = [", ".join(f"{x:.2f}" for x in each[own]) for each in (spread / missed, 1.0 / ratio)]
+        rows.append([name, f"{np.mean(squares[:, n] < 1.0):.1%}", *cells, f"{np.median(sigma[:, own]):.2g}"])
+    head = f"{kind}: {len(lines)} predictions of 60 s | in the 99 % region | rms sigma / rms error"
+    print_table(f"{head} | 1 / rms of error / sigma | median sigma", rows)
+    pairs = {"halves": ("first", "second"), "every third pair and all": ("third", "all"),
+             "window and all": ("window", "all")}  # fmt: skip
+    if kind == DRAWN:
+        pairs |= {"all and truth": ("all", "truth"), "a half and truth": ("first", "truth")}
+    print()
+    head = "levels within 95 % | acceleration | its decades | torque | its decades"
+    print_table(head, ([name, *agreement(lines, *pair)] for name, pair in pairs.items()))
+
+
+def agreement(lines: list[Case], one: str, other: str) -> list[str]:
+    """Of both levels: how many agree within both uncertainties, and the median uncertainty of the one."""
+    both, cells = [line for line in lines if one in line and other in line], []
+    for axis in (0, 1):
+        a, b = (np.array([line[name][axis::2] for line in both]) for name in (one, other))
+        if other == "truth":
+            shape = np.array([power_shape(decades) for decades in a[:, 1]])
+            inside = np.abs(gamma.cdf(shape * b[:, 0] / a[:, 0], shape) - 0.5) < 0.475
+        else:
+            inside = np.abs(np.log10(a[:, 0] / b[:, 0])) < 1.96 * np.hypot(a[:, 1], b[:, 1])
+        cells += [f"{np.sum(inside)} of {len(both)}", f"{np.median(a[:, 1]):.2f}"]
+    return cells
 
 
 def print_known(lines: list[Case]) -> None:

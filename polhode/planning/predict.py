@@ -51,7 +51,7 @@ LONG_ROWS = 2_000
 MIN_HORIZON_S, MAX_HORIZON_S = 1e-6, 1e8
 ARRAYS = (
     "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
-    "sigma_parts", "parts", "degrees_of_freedom",
+    "sigma_parts", "parts", "region_sigmas",
 )  # fmt: skip
 """Names in the archive of a prediction; earlier versions had not the last three."""
 PARTS = ("last state", "inertia", "disturbances")
@@ -312,7 +312,7 @@ def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> No
         "w_P": prediction.w_P,
     }
     if path.suffix == ".npz":
-        names = "covariance", "covariance_of_marks", "sigma_parts", "degrees_of_freedom"
+        names = "covariance", "covariance_of_marks", "sigma_parts", "region_sigmas"
         spread = {name: getattr(prediction, name) for name in names}
         write_arrays(path, states | spread | {"order": np.array(STATE_ORDER), "parts": np.array(PARTS)})
         return
@@ -374,7 +374,7 @@ def _parts_at_horizon(prediction: PredictedMotion) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     variances = np.square(prediction.sigma_parts[-1]).reshape(len(PARTS), 4, 3).sum(axis=2)
     shares = variances / np.maximum(variances.sum(axis=0), 1e-300)
-    for name, share, radius in zip(QUANTITIES, shares.T, prediction.region_sigmas(0.99)[-1], strict=True):
+    for name, share, radius in zip(QUANTITIES, shares.T, prediction.region_sigmas[-1], strict=True):
         table.add_row(name, *(f"{each:.0%}" for each in share), f"{radius:.2f}")
     return table
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from scipy.special import fdtri, polygamma
+from scipy.special import chdtr, chdtri, gammaincinv, polygamma
 
 from polhode.geometry.lie import (
     Array,
@@ -38,6 +38,8 @@ from polhode.runtime.progress import Advance
 PAIRS = 128
 UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
+IN_REGION = 0.99
+"""Share of the errors in the regions of a prediction."""
 ROWS_AT_ONCE = 64
 """Instants at which all members are held at once: it bounds the memory of long predictions."""
 
@@ -88,15 +90,6 @@ class PredictedMotion(Prediction):
         """(T, 4, 4) pose of the body frame G, which map and mesh are in [m]."""
         R_NG = self.R_NP @ self.R_GP.T
         return make_pose(R_NG, self.r_N - R_NG @ self.com_G)
-
-    def region_sigmas(self, share: float) -> Array:
-        """(T, 4) sizes of the regions of r, v, theta and w, of three components each, that hold so much.
-
-        A size is the root of e^T C^-1 e at the boundary, e the error and C its block of ``covariance``.
-        """
-        freedom = np.minimum(self.degrees_of_freedom.reshape(-1, 4, 3).min(axis=2), 1e9)
-        # Hotelling's T squared, scaled to the covariance
-        return np.asarray(np.sqrt(3.0 * (freedom - 2.0) / freedom * fdtri(3.0, freedom, share)))
 
     def points_N(self, p_G: ArrayLike) -> Array:
         """Places in N [m] of points fixed to the target: (T, n, 3) of p_G (n, 3), (T, 3) of one (3,)."""
@@ -168,8 +161,10 @@ def predict(
     whole = np.diagonal(of_axes, axis1=1, axis2=2)
     by_inertia = np.maximum(whole - of_noise - of_state, 0.0)
     parts = np.sqrt(np.stack([of_state, by_inertia, of_noise], axis=1))
-    freedom = degrees_of_freedom(of_noise, whole, level_decades)
-    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, freedom)
+    share = (of_noise / np.maximum(whole, 1e-300)).reshape(-1, 4, 3).max(axis=2)
+    accel, torque = level_decades
+    regions = np.hstack([region_sigmas(share[:, :2], accel), region_sigmas(share[:, 2:], torque)])
+    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, regions)
 
 
 class _StateShare:
@@ -200,15 +195,23 @@ def power_shape(decades: float) -> float:
     return float(np.exp(brentq(lambda log_shape: polygamma(1, np.exp(log_shape)) - variance, -20.0, 20.0)))
 
 
-def degrees_of_freedom(of_noise: Array, whole: Array, level_decades: tuple[float, float]) -> Array:
-    """(T, 12) of the distributions of Student whose kurtosis is that of errors under an uncertain level.
+def region_sigmas(noise_share: Array, decades: float) -> Array:
+    """(...,) standard deviations that a region of three components extends which holds 99 % of the errors.
 
-    of_noise, whole (T, 12): variances by disturbances of the mean level, and in all. With f their ratio and c
-    the level's standard deviation over its mean the excess kurtosis is 3 f^2 c^2, Student's 6 / (n - 4).
+    noise_share (...,): of the variance, by disturbances of a level that is gamma distributed.
     """
-    share = of_noise / np.maximum(whole, 1e-300)
-    shape = np.repeat([power_shape(decades) for decades in level_decades], 6)
-    return np.asarray(4.0 + 2.0 * shape / np.maximum(share, 1e-9) ** 2)
+    shape, share = power_shape(decades), np.linspace(0.0, 1.0, 65)
+    if not np.isfinite(shape):
+        return np.full(noise_share.shape, np.sqrt(chdtri(3.0, 1.0 - IN_REGION)))
+    # levels that are equally likely, of mean 1
+    levels = gammaincinv(shape, (np.arange(512) + 0.5) / 512)
+    variance = 1.0 + share[:, None] * (levels / levels.mean() - 1.0)
+    low, high = np.zeros(len(share)), np.full(len(share), 1e3)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        is_inside = chdtr(3.0, middle[:, None] / variance).mean(axis=1) > IN_REGION
+        low, high = np.where(is_inside, low, middle), np.where(is_inside, middle, high)
+    return np.asarray(np.interp(noise_share, share, np.sqrt(high)))
 
 
 def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:

@@ -336,5 +336,7 @@ class Prediction:
     sigma_parts: Array
     """(T, 3, 12) standard deviations in ``covariance`` by the last state, by what the uncertain inertia adds,
     and by disturbances"""
-    degrees_of_freedom: Array
-    """(T, 12) of Student's distribution of each error: the level of the disturbances is uncertain"""
+    region_sigmas: Array
+    """(T, 4) standard deviations that the regions of r, v, theta and w extend which hold 99 %: the root of
+    e^T C^-1 e there, e an error of three components and C its block of ``covariance``. 3.37 where the level
+    of the disturbances is known or does not matter"""
