@@ -138,7 +138,7 @@ def predict(
     moments = np.diag(R_GP.T @ last.J_G @ R_GP)
     of_axes = process_noise(moments / moments[1], last.w_G @ R_GP, time, accel_psd, torque_psd)
     of_marks, of_noise = of_axes.copy(), np.diagonal(of_axes, axis1=1, axis2=2).copy()
-    known, of_state = _StateShare(deviation), np.empty_like(of_noise)
+    by_last_state, of_state = _by_last_state(deviation), np.empty_like(of_noise)
     for rows, R, w in _members_by_blocks(last, deviation, J, time):
         dr = deviation[:, 0:3] + time[rows, None, None] * deviation[:, 3:6]
         dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
@@ -147,7 +147,7 @@ def predict(
         dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - w_P[rows, None]
         own = np.concatenate([dr, dv, log_so3(R_PP @ turn), dw], axis=-1)
         of_axes[rows] += _second_moments(own)
-        of_state[rows] = known.variance(own)
+        of_state[rows] = np.mean((by_last_state @ own) ** 2, axis=1)
 
         lever = np.einsum("tnij,nj->tni", R, com)
         swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
@@ -167,20 +167,12 @@ def predict(
     return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, regions)
 
 
-class _StateShare:
-    """What of the members' errors is linear in the deviations of their last states."""
-
-    def __init__(self, deviation: Array) -> None:
-        """deviation (N, 20)"""
-        of_state_and_inertia = deviation[:, :17]
-        scale = np.sqrt(np.mean(of_state_and_inertia**2, axis=0))
-        regressors = of_state_and_inertia / np.where(scale > 0.0, scale, 1.0)
-        self._fit = np.linalg.pinv(regressors, rcond=1e-9)[:12]
-        self._state = regressors[:, :12]
-
-    def variance(self, errors: Array) -> Array:
-        """(T, 12) mean squares of that part of errors (T, N, 12)."""
-        return np.asarray(np.mean((self._state @ (self._fit @ errors)) ** 2, axis=1))
+def _by_last_state(deviation: Array) -> Array:
+    """(N, N) of errors of N members to what of them is linear in the deviations (N, 20) of their states."""
+    of_state_and_inertia = deviation[:, :17]
+    scale = np.sqrt(np.mean(of_state_and_inertia**2, axis=0))
+    regressors = of_state_and_inertia / np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(regressors[:, :12] @ np.linalg.pinv(regressors, rcond=1e-9)[:12])
 
 
 def power_shape(decades: float) -> float:
@@ -205,7 +197,7 @@ def region_sigmas(noise_share: Array, decades: float) -> Array:
         return np.full(noise_share.shape, np.sqrt(chdtri(3.0, 1.0 - IN_REGION)))
     # levels that are equally likely, of mean 1
     levels = gammaincinv(shape, (np.arange(512) + 0.5) / 512)
-    variance = 1.0 + share[:, None] * (levels / levels.mean() - 1.0)
+    variance = np.maximum(1.0 + share[:, None] * (levels / levels.mean() - 1.0), 1e-12)
     low, high = np.zeros(len(share)), np.full(len(share), 1e3)
     for _ in range(50):
         middle = 0.5 * (low + high)
