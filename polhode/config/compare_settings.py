@@ -63,8 +63,8 @@ class Compare(Section):
     total_s: float = Field(900.0, ge=1e-9, le=1e8)
     """Time limit of the comparison [s]; solvers that have not started by then get a row that states so."""
     process_noise: Literal["given", "estimated"] = "given"
-    """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or the most likely
-    ones, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a cold
+    """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or those
+    estimated, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a cold
     start."""
     cold: bool = True
     """Solve from the cold start."""

@@ -77,6 +77,11 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     np.testing.assert_allclose(path.r_N, r_N[1:], atol=1e-9)
     np.testing.assert_allclose(path.R_NP, R_NP[1:], atol=1e-8)
     np.testing.assert_allclose(path.w_P, w_P[1:], atol=1e-8)
+    # the level of the example's disturbances is known within half a decade: more than 3.37 sigmas hold 99 %
+    position = next(row for row in shown.splitlines() if "position" in row).split()
+    shares, size = [float(cell[:-1]) for cell in position if cell.endswith("%")], float(position[-2])
+    assert len(shares) == 3 and sum(shares) == pytest.approx(100.0, abs=1.5)
+    assert 3.4 < size < 6.0
     # the last row on the screen is that of the file
     last = [row for row in shown.splitlines() if re.match(r"\W*10 ", row)]
     assert len(last) == 2
