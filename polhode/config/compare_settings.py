@@ -64,8 +64,8 @@ class Compare(Section):
     """Time limit of the comparison [s]; solvers that have not started by then get a row that states so."""
     process_noise: Literal["given", "estimated"] = "given"
     """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or those
-    estimated, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a cold
-    start."""
+    estimated, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a
+    cold start."""
     cold: bool = True
     """Solve from the cold start."""
     perturbed: int = Field(0, ge=0, le=10_000)
