@@ -6,18 +6,20 @@ most likely value: the evidence of one hardly depends on the other. Its mean pow
 covariances are linear in the power where disturbances limit them: that of the mean is the mean of all.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import LinAlgError
 
-from polhode.backend.problem.level_prior import STEP, Grid, LevelPrior
+from polhode.backend.problem.level_prior import STEP, LevelPrior
 
+Grid = tuple[int, int]
+"""Levels of acceleration and torque, in steps from the stated ones."""
 ACCELERATION, TORQUE = 0, 1
 """Indices of the two levels."""
-STARTS: tuple[Grid, ...] = ((0, 0), (-8, -8), (-16, -16))
+STARTS = ((0, 0), (-8, -8), (-16, -16))
 """Too high a level can hide in wrong constants and so remain high: lower ones are tried first."""
 OFFSETS = (1, 2, 4, *range(8, 64, 4))
 """Steps from the most likely level at which the evidence is evaluated."""
@@ -35,11 +37,7 @@ class LevelPosterior(NamedTuple):
     """Standard deviations of their logarithms [decades]"""
 
 
-def posterior(
-    prior: LevelPrior,
-    minus_log_evidence: Callable[[float, float], float],
-    starts: Iterable[Grid] = STARTS,
-) -> LevelPosterior:
+def posterior(prior: LevelPrior, minus_log_evidence: Callable[[float, float], float]) -> LevelPosterior:
     """The mean of each level, and the standard deviation of its logarithm.
 
     minus_log_evidence(accel_psd, torque_psd): up to a constant; ``inf`` where nothing fits. Raises
@@ -56,7 +54,7 @@ def posterior(
     def cost(at: Grid) -> float:
         return misfit(at) + float(prior.minus_log(STEP * np.array(at)).sum())
 
-    best = min(starts, key=cost)
+    best = min(STARTS, key=cost)
     for step in (4, 2):
         for axis in (TORQUE, ACCELERATION):
             best = _walk(best, axis, step, cost)

@@ -19,9 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from polhode.backend.outliers_and_noise.level_posterior import STARTS, posterior
+from polhode.backend.outliers_and_noise.level_posterior import posterior
 from polhode.backend.problem.iterate import N_POSE, Iterate
-from polhode.backend.problem.level_prior import Grid
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.chain import eliminate_chain, half_log_det, solve_with_chain
 from polhode.backend.solvers.gauss_newton import (
@@ -251,15 +250,13 @@ class LevelSearch:
 def estimate_process_noise(fit: MotionFit) -> LevelFit:
     """The posterior of accel_psd and torque_psd under the problem's prior, and the fit at their means."""
     prior, found = fit.data.level_prior, LevelFit(fit.data, fit.iterate, np.inf)
-    starts: tuple[Grid, ...] = STARTS
     for _ in range(4):
         search = LevelSearch(found)
-        levels = posterior(prior, search.minus_log_evidence, starts)
+        levels = posterior(prior, search.minus_log_evidence)
         trial = search.at(*levels.psd)
         found = search.fitted(trial, START_ITERATIONS)
         if abs(found.minus_log_evidence - trial.minus_log_evidence) <= AGREEING_EVIDENCE:
             break
-        starts = (prior.nearest(levels.psd),)
     return replace(found, data=replace(found.data, level_decades=levels.decades))
 
 

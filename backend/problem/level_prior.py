@@ -12,8 +12,6 @@ import numpy as np
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array
 
-Grid = tuple[int, int]
-"""Levels of acceleration and torque, in steps from the stated ones."""
 STEP = 0.25
 """Step of the grid [decades]: the evidence of a long sequence is smooth over it."""
 FLOOR_PSD, CEILING_PSD = 1e-12, 1e-2
@@ -44,8 +42,3 @@ class LevelPrior:
         stated = self.stated[axis]
         wanted = stated * 10.0 ** (STEP * steps)
         return float(np.clip(wanted, min(FLOOR_PSD, stated), max(CEILING_PSD, stated)))
-
-    def nearest(self, psd: tuple[float, float]) -> Grid:
-        """The place of two levels on the grid."""
-        accel, torque = np.rint(np.log10(np.divide(psd, self.stated)) / STEP).astype(int).tolist()
-        return accel, torque

@@ -198,12 +198,8 @@ def region_sigmas(noise_share: Array, decades: float) -> Array:
     # levels that are equally likely, of mean 1
     levels = gammaincinv(shape, (np.arange(512) + 0.5) / 512)
     variance = np.maximum(1.0 + share[:, None] * (levels / levels.mean() - 1.0), 1e-12)
-    low, high = np.zeros(len(share)), np.full(len(share), 1e3)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        is_inside = chdtr(3.0, middle[:, None] / variance).mean(axis=1) > IN_REGION
-        low, high = np.where(is_inside, low, middle), np.where(is_inside, middle, high)
-    return np.asarray(np.interp(noise_share, share, np.sqrt(high)))
+    squares = [brentq(lambda s, of=of: chdtr(3.0, s / of).mean() - IN_REGION, 0.0, 1e4) for of in variance]
+    return np.asarray(np.interp(noise_share, share, np.sqrt(squares)))
 
 
 def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
