@@ -136,7 +136,15 @@ def predict(
     turn = exp_so3(deviation[:, 12:17] @ axes_jacobian(last).T)
     com = deviation[:, 17:20]
     moments = np.diag(R_GP.T @ last.J_G @ R_GP)
-    of_axes = process_noise(moments / moments[1], last.w_G @ R_GP, time, accel_psd, torque_psd)
+    moments = moments / moments[1]
+    of_axes = process_noise(moments, last.w_G @ R_GP, time, accel_psd, torque_psd)
+    # an error of the attitude of s radians bends by s^2 / 2 off the direction of the linear flow
+    bend, k = (0.5 * np.linalg.eigvalsh(of_axes[:, 6:9, 6:9])[:, -1]) ** 2, np.arange(6, 12)
+    of_axes[:, k, k] += bend[:, None] * np.repeat([1.0, last.w_G @ last.w_G], 3)
+    # of a rate in any direction, of the size at the start and what may have been added since
+    rate = np.sum(w_P**2, axis=1) + np.trace(last.covariance[9:12, 9:12])
+    rate += torque_psd * time * np.sum(moments**-2.0)
+    most = np.sqrt(np.hstack([np.full_like(w_P, UNKNOWN_RAD**2), rate[:, None] + w_P**2]))
     of_marks, of_noise = of_axes.copy(), np.diagonal(of_axes, axis1=1, axis2=2).copy()
     by_last_state, of_state = _by_last_state(deviation), np.empty_like(of_noise)
     for rows, R, w in _members_by_blocks(last, deviation, J, time):
@@ -156,7 +164,7 @@ def predict(
             np.concatenate([dr - lever, dv - swing, log_so3(R_PP), dw], axis=-1)
         )
         for covariance in (of_axes, of_marks):
-            covariance[rows] = _no_worse_than_unknown(covariance[rows])
+            covariance[rows] = _no_worse_than_unknown(covariance[rows], most[rows])
         advance()
     whole = np.diagonal(of_axes, axis1=1, axis2=2)
     by_inertia = np.maximum(whole - of_noise - of_state, 0.0)
@@ -323,11 +331,11 @@ def _second_moments(d: Array) -> Array:
     return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
 
 
-def _no_worse_than_unknown(covariance: Array) -> Array:
-    """(T, 12, 12), the attitude's standard deviations limited to those of a uniform distribution."""
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:9])
+def _no_worse_than_unknown(covariance: Array, most: Array) -> Array:
+    """(T, 12, 12), with standard deviations of attitude and rate of at most those (T, 6) of any direction."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:])
     factor = np.ones(covariance.shape[:2])
-    factor[:, 6:9] = UNKNOWN_RAD / np.maximum(sigma, UNKNOWN_RAD)
+    factor[:, 6:] = most / np.maximum(sigma, most)
     return np.asarray(factor[:, :, None] * covariance * factor[:, None, :])
 
 
