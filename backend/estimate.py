@@ -157,11 +157,12 @@ def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance:
 
 
 def _with_level(pruned: PrunedFit) -> PrunedFit:
-    """The fit with the level of the disturbances that is most likely."""
+    """The fit with the level of the disturbances that the data give."""
     level = estimate_process_noise(pruned.small)
+    data = with_level(pruned.data, level.data.accel_psd, level.data.torque_psd)
     return replace(
         pruned.with_solution(level.iterate),
-        data=with_level(pruned.data, level.data.accel_psd, level.data.torque_psd),
+        data=replace(data, level_decades=level.data.level_decades),
         kept=replace(pruned.kept, data=level.data),
     )
 

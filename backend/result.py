@@ -127,6 +127,7 @@ def assemble(
             float(found.scales[2] * stated[2]),
             data.accel_psd,
             data.torque_psd,
+            *data.level_decades,
             drift_px=0.0 if correlated is None else correlated.slow / float(np.median(data.inv_sigma[:, 0])),
         ),
         solver=SolverOutcome("", 0, 0.0, False, reduced_chi2(small, s)),

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from polhode.backend.dynamics.residuals import FrameStates, add_steps, dynamics_jacobians
-from polhode.backend.outliers_and_noise.process_level import FLOOR_PSD
 from polhode.backend.problem.inertia import inertia_derivative
 from polhode.backend.problem.iterate import CAMERA_ROTATION, N_CAMERA, N_POSE, N_STATE
+from polhode.backend.problem.level_prior import FLOOR_PSD
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.chain import eliminate_chain
 from polhode.backend.solvers.gauss_newton import GaussNewton

@@ -1,4 +1,4 @@
-"""Level of the disturbances: the process noise that makes the measurements most likely.
+"""Level of the disturbances: the evidence that the measurements give of the process noise.
 
 The evidence of a level q = (acceleration, torque) is Laplace's approximation: states, landmarks and constants
 are fitted under q and integrated out as a Gaussian (Bishop, "Pattern Recognition and Machine Learning", 2006,
@@ -6,24 +6,20 @@ are fitted under q and integrated out as a Gaussian (Bishop, "Pattern Recognitio
 
     -ln p(data | q) = cost(x_q) + 1/2 ln det Lambda(q) + 1/2 ln det H(x_q) + constant
 
-Lambda is the covariance of the process noise over all steps and H the Gauss-Newton Hessian. Both levels are
-searched in turn, in logarithmic steps. A short sequence hardly distinguishes levels below what it can
-resolve; then the most likely level is often far too low, and every sigma with it. The result is therefore the
-largest level, up to the stated one, that is nearly as likely as the best.
+Lambda is the covariance of the process noise over all steps and H the Gauss-Newton Hessian. The result is the
+mean of the posterior (``level_posterior``), with its uncertainty.
 
 Only the weights of the dynamics change in the search: near a solution the measurements constrain the poses as
 a Gaussian does. Their stereo terms are expanded in the poses, with one elimination of the landmarks; an
 iteration then costs about a third of one of the whole problem.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from operator import attrgetter
-from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from polhode.backend.outliers_and_noise.level_posterior import posterior
 from polhode.backend.problem.iterate import N_POSE, Iterate
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.chain import eliminate_chain, half_log_det, solve_with_chain
@@ -182,17 +178,9 @@ def without_landmarks(iterate: Iterate) -> Array:
     return replace(iterate, p_G=np.zeros((0, 3))).vector()
 
 
-T = TypeVar("T")
-"""A level and what was found under it."""
-FLOOR_PSD, CEILING_PSD = 1e-10, 1e-2
-"""Below the floor nothing changes within a minute; above the ceiling the body is not free."""
-FINEST_STEP = 0.5
-"""Step of the search [decades]: finer than the data can resolve."""
 START_ITERATIONS = 10
 INSIGNIFICANT_EVIDENCE = 2.0
 """Difference of log-evidence that is not significant."""
-ACCELERATION, TORQUE = 0, 1
-"""Indices of the two levels."""
 ITERATIONS = 3
 """Gauss-Newton iterations at each level, from the solution at the neighbouring level."""
 AGREEING_EVIDENCE = 0.5
@@ -215,10 +203,6 @@ class LevelTrial:
     """(n,) states and constants, about the search's expansion"""
     minus_log_evidence: float
 
-    def level(self, axis: int) -> float:
-        """One of accel_psd and torque_psd."""
-        return (self.data.accel_psd, self.data.torque_psd)[axis]
-
 
 class LevelSearch:
     """Fits under many levels, with the stereo terms expanded about one iterate.
@@ -229,7 +213,9 @@ class LevelSearch:
 
     def __init__(self, fit: MotionFit) -> None:
         self._vision = VisionExpansion.of(fit)
+        self._data = fit.data
         self.start = without_landmarks(fit.iterate)
+        self._trials: list[LevelTrial] = []
 
     def fit(self, data: MotionData, x: Array, iterations: int = ITERATIONS) -> LevelTrial:
         """Fit from x (n,) under the noise of ``data``, whose measurements are the same."""
@@ -242,11 +228,19 @@ class LevelSearch:
             return LevelTrial(data, x, np.inf)
         return LevelTrial(data, x, cost + fixed.steps.half_log_det + half_log_det)
 
-    def at_level(self, trial: LevelTrial, axis: int, level: float) -> LevelTrial:
-        """The fit with one level changed, from that of a trial."""
-        levels = [trial.data.accel_psd, trial.data.torque_psd]
-        levels[axis] = level
-        return self.fit(with_level(trial.data, *levels), trial.x)
+    def at(self, accel_psd: float, torque_psd: float) -> LevelTrial:
+        """The fit under other levels, from the nearest ones that were tried."""
+        data = with_level(self._data, accel_psd, torque_psd)
+        off = [abs(np.log([each.data.accel_psd / accel_psd, each.data.torque_psd / torque_psd])).sum()
+               for each in self._trials]  # fmt: skip
+        trial = self.fit(data, self._trials[int(np.argmin(off))].x if off else self.start, START_ITERATIONS)
+        if np.isfinite(trial.minus_log_evidence):
+            self._trials.append(trial)
+        return trial
+
+    def minus_log_evidence(self, accel_psd: float, torque_psd: float) -> float:
+        """Of other levels."""
+        return self.at(accel_psd, torque_psd).minus_log_evidence
 
     def fitted(self, trial: LevelTrial, iterations: int = ITERATIONS) -> LevelFit:
         """The fit of the problem itself under the level of a trial."""
@@ -254,68 +248,16 @@ class LevelSearch:
 
 
 def estimate_process_noise(fit: MotionFit) -> LevelFit:
-    """Most likely accel_psd and torque_psd between floor and ceiling, starting from those of the problem."""
-    stated = (fit.data.accel_psd, fit.data.torque_psd)
-    search = LevelSearch(fit)
-    # too high a level can hide in wrong constants and so remain high: lower ones are tried too
-    starts = {tuple(max(psd * factor, min(psd, FLOOR_PSD)) for psd in stated) for factor in (1.0, 1e-2, 1e-4)}
-    trials = [
-        search.fit(with_level(fit.data, *levels), search.start, START_ITERATIONS)
-        for levels in sorted(starts, reverse=True)
-    ]
-    found = search.fitted(min(trials, key=attrgetter("minus_log_evidence")), START_ITERATIONS)
-    for _ in range(3):
+    """The posterior of accel_psd and torque_psd under the problem's prior, and the fit at their means."""
+    prior, found = fit.data.level_prior, LevelFit(fit.data, fit.iterate, np.inf)
+    for _ in range(4):
         search = LevelSearch(found)
-        first = search.fit(found.data, search.start)
-        best = _highest(search, first, stated)
-        if best is first:
+        levels = posterior(prior, search.minus_log_evidence)
+        trial = search.at(*levels.psd)
+        found = search.fitted(trial, START_ITERATIONS)
+        if abs(found.minus_log_evidence - trial.minus_log_evidence) <= AGREEING_EVIDENCE:
             break
-        found = search.fitted(best, START_ITERATIONS)
-        if abs(found.minus_log_evidence - best.minus_log_evidence) <= AGREEING_EVIDENCE:
-            break
-    return found
-
-
-def _highest(search: LevelSearch, best: LevelTrial, stated: tuple[float, float]) -> LevelTrial:
-    """From one level to the most likely one, and up to the largest that is nearly as likely."""
-    cost: Callable[[LevelTrial], float] = attrgetter("minus_log_evidence")
-    for axis, step in ((axis, step) for step in (1.0, FINEST_STEP) for axis in (TORQUE, ACCELERATION)):
-
-        def neighbour(at: LevelTrial, sign: int, axis: int = axis, step: float = step) -> LevelTrial | None:
-            level = float(np.clip(at.level(axis) * 10.0 ** (sign * step), FLOOR_PSD, CEILING_PSD))
-            return None if level == at.level(axis) else search.at_level(at, axis, level)
-
-        best = walk(best, neighbour, cost)
-    for axis in (TORQUE, ACCELERATION):
-
-        def raised(at: LevelTrial, axis: int = axis) -> LevelTrial | None:
-            if not at.level(axis) < 0.99 * stated[axis]:
-                return None
-            return search.at_level(at, axis, min(at.level(axis) * 10.0**FINEST_STEP, stated[axis]))
-
-        best = raise_level(best, raised, cost, best.minus_log_evidence + INSIGNIFICANT_EVIDENCE)
-    return best
-
-
-def walk(start: T, neighbour: Callable[[T, int], T | None], cost: Callable[[T], float]) -> T:
-    """Walk along one level while the cost falls: downwards, or upwards if the first step down raises it.
-
-    neighbour(at, sign) is the next level downwards or upwards, None beyond the bounds.
-    """
-    for sign in (-1, 1):
-        best = start
-        while (trial := neighbour(best, sign)) is not None and cost(trial) < cost(best):
-            best = trial
-        if best is not start:
-            return best
-    return start
-
-
-def raise_level(best: T, raised: Callable[[T], T | None], cost: Callable[[T], float], limit: float) -> T:
-    """Raise one level towards the stated one (there ``raised`` is None) while the cost is below the limit."""
-    while (trial := raised(best)) is not None and cost(trial) < limit:
-        best = trial
-    return best
+    return replace(found, data=replace(found.data, level_decades=levels.decades))
 
 
 def with_level(data: MotionData, accel_psd: float, torque_psd: float) -> MotionData:

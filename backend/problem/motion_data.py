@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm
+from polhode.backend.problem.level_prior import LevelPrior
 from polhode.backend.problem.wrench import Impulses, impulses_of
 from polhode.config.backend_settings import Backend
 from polhode.geometry.camera import RectifiedRig, stereo_jacobian
@@ -52,6 +53,10 @@ class MotionData:
     """(F - 1,) steps in which an unknown disturbance may act"""
     node_sigma: tuple[float, float]
     """[m/s^2, rad/s^2] standard deviation of such a disturbance, which is zero-mean"""
+    level_prior: LevelPrior
+    """Of accel_psd and torque_psd"""
+    level_decades: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of their logarithms after the data [decades]; zeros: they are given"""
     loose: Bools | None = None
     """(F - 1,) steps whose dynamics are given no weight; None: all count"""
 
@@ -135,6 +140,7 @@ def motion_data(tracks: StereoTracks, config: Backend) -> MotionData:
             config.unknown_wrench_s, config.unknown_wrench == "everywhere", np.diff(tracks.time_s)
         ),
         node_sigma=(config.unknown_acceleration, config.unknown_angular_acceleration),
+        level_prior=LevelPrior.of(config),
     )
 
 

@@ -116,6 +116,7 @@ def end_of(estimate: MotionEstimate, rotation: OpenRotation) -> RotationHypothes
         covariance=estimate.covariance_last_body,
         accel_psd=noise.accel_psd,
         torque_psd=noise.torque_psd,
+        level_decades=(noise.accel_psd_decades, noise.torque_psd_decades),
     )
 
 

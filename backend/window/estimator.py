@@ -169,8 +169,8 @@ class SlidingWindow:
         """Estimate what is fixed while solving: noise, disturbances, the choice among inertias."""
         estimate_noise(state)
         solve_history(state, history)
-        if self._config.process_noise == "estimated" and len(history.frames) >= 20:
-            estimate_levels(state, history, (self._config.accel_psd, self._config.torque_psd))
+        if self._config.process_noise == "estimated":
+            estimate_levels(state, history)
         choose_inertia(state, history)
         return solve_history(state, history, self.answer)
 

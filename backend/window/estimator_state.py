@@ -19,6 +19,7 @@ from polhode.backend.problem.iterate import (
     VELOCITY,
     XI,
 )
+from polhode.backend.problem.level_prior import LevelPrior
 from polhode.backend.problem.motion_data import rig_vector
 from polhode.backend.solvers.gauss_newton import WeakPrior
 from polhode.backend.solvers.linearization_point import COM_PRIOR_M, middle_and_radius
@@ -56,7 +57,9 @@ class EstimatorState:
     rig: RectifiedRig
     model: ObservationModel
     prior: WeakPrior
+    level_prior: LevelPrior
     disturbances: DisturbanceLevels
+    """as stated, until they are estimated"""
     landmarks: LandmarkSlots = field(default_factory=LandmarkSlots)
     active: ActiveWindow = field(default_factory=ActiveWindow)
     history: History | None = None
@@ -187,7 +190,8 @@ def initial_estimator_state(rig: RectifiedRig, config: Backend, camera: CameraNo
     """State before the first frame, with the inertia of a sphere."""
     prior = WeakPrior(FORMS[config.inertia])
     model = ObservationModel(rig_vector(rig), config.robust_scale, robust_gain(config.robust_scale))
-    state = EstimatorState(rig, model, prior, DisturbanceLevels(config.accel_psd, config.torque_psd))
+    level_prior = LevelPrior.of(config)
+    state = EstimatorState(rig, model, prior, level_prior, DisturbanceLevels(*level_prior.stated))
     state.camera, state.active.noisy_camera = camera, not camera.exact
     xi, state.R_inertia = prior.form.coordinates(np.eye(3))
     state.active.constants = np.concatenate([np.zeros(N_CONSTANTS - len(xi)), xi])

@@ -3,11 +3,10 @@
 Gauss-Newton leads to the optimum, and IPOPT continues with the recent states and the constants, by default.
 While the history is kept, brief solves from several inertias decide whether another one fits better, and the
 noise levels are estimated: of the pixels from the residuals of the active frames, of the disturbances by the
-evidence of ``outliers_and_noise/process_level.py`` on the history alone; the landmarks are eliminated there,
-and their part of the evidence does not depend on the level.
+posterior of ``outliers_and_noise/level_posterior.py`` given the history alone; the landmarks are eliminated
+there, and their part of the evidence does not depend on the level.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,19 +16,11 @@ from scipy.linalg import LinAlgError, cholesky
 from polhode.backend.dynamics.residuals import add_steps
 from polhode.backend.initialization.multistart import PASSES, SAME_INERTIA, inertia_hypotheses
 from polhode.backend.initialization.rates import interpolated_rates, interval_rates
+from polhode.backend.outliers_and_noise.level_posterior import posterior
 from polhode.backend.outliers_and_noise.noise_and_outliers import (
     MAX_SHARE_OF_POSES,
     MIN_OBSERVATIONS,
     scales_by_median,
-)
-from polhode.backend.outliers_and_noise.process_level import (
-    ACCELERATION,
-    CEILING_PSD,
-    FLOOR_PSD,
-    INSIGNIFICANT_EVIDENCE,
-    TORQUE,
-    raise_level,
-    walk,
 )
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, RATE, ROTATION
@@ -56,22 +47,14 @@ from polhode.backend.window.problem import (
 from polhode.geometry.camera import stereo_jacobian
 from polhode.geometry.lie import Array
 
-Grid = tuple[int, int]
-"""Levels of acceleration and torque in half decades from the stated ones: finer than the data can resolve."""
 
-
-def estimate_levels(state: EstimatorState, history: History, stated: tuple[float, float]) -> None:
-    """Set the most likely accel_psd and torque_psd, starting from those stated."""
+def estimate_levels(state: EstimatorState, history: History) -> None:
+    """Set accel_psd and torque_psd to the means of their posterior."""
     vision = history.vision(state.active, state.condensed()).quadratic
     x = history.vector(state.active.constants)
 
-    def levels(at: Grid) -> DisturbanceLevels:
-        return DisturbanceLevels(*(value * 10.0 ** (0.5 * n) for value, n in zip(stated, at, strict=True)))
-
-    def minus_log_evidence(at: Grid) -> float:
-        noise = levels(at)
-        if min(noise) < FLOOR_PSD or max(noise) > CEILING_PSD:
-            return np.inf
+    def minus_log_evidence(accel_psd: float, torque_psd: float) -> float:
+        noise = DisturbanceLevels(accel_psd, torque_psd)
         steps = history.steps_at(x, state.J_G, state.J_noise, noise)
         problem = state.problem(vision, history.R_ref, steps)
         try:
@@ -81,38 +64,7 @@ def estimate_levels(state: EstimatorState, history: History, stated: tuple[float
             return np.inf
         return solution.cost + steps.half_log_det + float(np.log(np.diagonal(factor)).sum())
 
-    state.disturbances = levels(most_likely(minus_log_evidence))
-
-
-def most_likely(minus_log_evidence: Callable[[Grid], float]) -> Grid:
-    """The largest levels, up to the stated ones, that are nearly as likely as the best."""
-    known: dict[Grid, float] = {}
-
-    def cost(at: Grid) -> float:
-        if at not in known:
-            known[at] = minus_log_evidence(at)
-        return known[at]
-
-    def moved(at: Grid, axis: int, change: int) -> Grid:
-        return (at[0] + change, at[1]) if axis == ACCELERATION else (at[0], at[1] + change)
-
-    # too high a level can hide in wrong constants and so remain high: lower ones are tried first
-    best = min(((n, n) for n in (0, -4, -8)), key=cost)
-    for step in (2, 1):
-        for axis in (TORQUE, ACCELERATION):
-
-            def neighbour(at: Grid, sign: int, axis: int = axis, step: int = step) -> Grid:
-                return moved(at, axis, sign * step)
-
-            best = walk(best, neighbour, cost)
-    limit = cost(best) + INSIGNIFICANT_EVIDENCE
-    for axis in (TORQUE, ACCELERATION):
-
-        def raised(at: Grid, axis: int = axis) -> Grid | None:
-            return moved(at, axis, 1) if at[axis] < 0 else None
-
-        best = raise_level(best, raised, cost, limit)
-    return best
+    state.disturbances = DisturbanceLevels(*posterior(state.level_prior, minus_log_evidence).psd)
 
 
 def estimate_noise(state: EstimatorState) -> None:

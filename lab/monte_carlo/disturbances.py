@@ -1,27 +1,44 @@
-"""Known forces and torques, and unknown disturbances: how well they are estimated, Monte Carlo.
+"""Known forces and torques, unknown disturbances, and their level: how well they are estimated, Monte Carlo.
 
     python -m lab.monte_carlo.disturbances [--seeds 20] [--workers 1] [--short] [--record FILE]
 
 60 frames of 0.5 s, 300 landmarks, pixel noise 1 px, process noise 1e-8, both estimated. NEES: mean normalised
 squared error, 1 is expected; coverage: share of the states' components within three standard deviations.
+
+Levels: sequences of seven motions, 0.3 px, under levels drawn from the prior, and some without disturbances;
+predictions of 60 s against the truth, levels of parts against each other and against the truth.
 """
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import gamma
 
 from lab.command import RECORDS, Record, Seeds, Short, Workers, command
 from lab.monte_carlo.bound import cold_start
-from lab.presentation import print_table
+from lab.monte_carlo.window import some_frames
+from lab.presentation import numbers, print_table
 from lab.record import Case, complete
+from polhode.backend.outliers_and_noise.level_posterior import ACCELERATION, TORQUE
+from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
+from polhode.backend.problem.level_prior import LevelPrior
+from polhode.backend.window import SlidingWindow, frames_of
+from polhode.compare.problem.sources import SCENES
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array, log_so3
 from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.planning.prediction import FinalState, power_shape, predict
 from polhode.records.estimate import MotionEstimate
+from polhode.runtime.errors import RunFailure
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, Vector, generate
 
 RECORD = RECORDS / "pushes"
+SEEN, AHEAD_S = 60, 60.0
+"""Frames that are measured, and seconds that are predicted."""
+STATES = ("r_N", "v_N", "R_NP", "w_P")
+DRAWN, MOST_DECADES = "drawn levels", 1.5
+"""Level over the stated one that is not exceeded: with stronger disturbances the target leaves the view."""
 MOMENTS = np.array([3.0e-2, 2.4e-2, 1.8e-2])
 FREE = SyntheticScene(
     frames=60, landmarks=300, detection=0.4, w_G=(0.3, 0.5, 0.35), J_G=np.diag(MOMENTS),
@@ -48,6 +65,10 @@ def main(
     """Measure what the record lacks, print the tables."""
     draws = range(1 if short else seeds)
     known: list[Case] = [{"push": "known", "search": "found", "seed": seed} for seed in draws]
+    kinds = {DRAWN: range(2 if short else 5 * seeds), "no disturbances": draws}
+    levels: list[Case] = [
+        {"push": kind, "search": "level", "seed": seed} for kind, own in kinds.items() for seed in own
+    ]
     unknown: list[Case] = [
         {"push": push, "search": search, "seed": seed}
         for push in list(UNKNOWN)[: 2 if short else None]
@@ -56,6 +77,9 @@ def main(
     ]
     print_known(complete(record, known, measure, workers))
     print_unknown(complete(record, unknown, measure, workers))
+    lines = complete(record, levels, measure_levels, workers)
+    for kind in kinds:
+        print_levels(kind, [line for line in lines if line["case"]["push"] == kind and "all" in line])
 
 
 def measure(case: Case) -> Case:
@@ -113,6 +137,89 @@ def whole_pushes(
         dw = (push.delta_w_P - change[1]) / push.sigma_delta_w_P
         out.append([*dv.tolist(), *dw.tolist(), float(change.any())])
     return out
+
+
+def measure_levels(case: Case) -> Case:
+    """Levels of a sequence and of its parts, with their decades, and its prediction against the truth."""
+    config = Backend(solver="gauss_newton", light_px=0.0, systematic_px=(0.0, 0.0, 0.0))
+    prior, rng = LevelPrior.of(config), np.random.default_rng([case["seed"], 52])
+    drawn = np.minimum(prior.decades * (rng.normal(size=2) - 1.0), MOST_DECADES)
+    psd = prior.stated * 10.0**drawn * (case["push"] == DRAWN)
+    scene = replace(
+        list(SCENES.values())[case["seed"] % len(SCENES)], accel_psd=psd[0], torque_psd=psd[1],
+        landmarks=800, sigma_uv_px=0.3, sigma_d_px=0.2, station_keeping=True,
+    )  # fmt: skip
+    last, seen = SEEN - 1 + round(AHEAD_S / scene.dt_s), np.arange(SEEN)
+    scene = replace(scene, frames=last + 1, dropped=tuple(range(SEEN, last + 1)))
+    whole, out = generate(scene, case["seed"]), {"truth": psd.tolist()}
+    parts = {"all": seen, "first": seen[: SEEN // 2], "second": seen[SEEN // 2 :], "third": seen[::3]}
+    for name, frames in parts.items():
+        tracks = (part := some_frames(whole, frames)).tracks
+        try:
+            estimate = cold_start(part, config)[1]
+        except RunFailure:
+            continue
+        noise = estimate.noise
+        out[name] = [noise.accel_psd, noise.torque_psd, noise.accel_psd_decades, noise.torque_psd_decades]
+        if name == "all":
+            out |= prediction_errors(estimate, some_frames(whole, np.array([SEEN - 1, last])))
+            window = SlidingWindow(tracks.rig, config)
+            for measurements in frames_of(tracks):
+                window.add(measurements)
+            out["window"] = [*window.state.disturbances, *out[name][2:]]
+    return out
+
+
+def prediction_errors(estimate: MotionEstimate, ends: SyntheticSequence) -> Case:
+    """Of the second of two frames, predicted from the first: errors (12,), sigmas, squares over regions."""
+    mass, noise = estimate.mass, estimate.noise
+    J_G, by_parameters = inertia_by_parameters(mass.J_G, FORMS[Backend().inertia])
+    r_N, v_N, R_NP, w_P = (getattr(estimate, name)[-1] for name in STATES)
+    assert estimate.covariance_last_body is not None
+    last = FinalState(r_N, v_N, R_NP @ mass.R_GP.T, mass.R_GP @ w_P, J_G, mass.R_GP, by_parameters,
+                      estimate.covariance_last_body)  # fmt: skip
+    decades = noise.accel_psd_decades, noise.torque_psd_decades
+    found = predict(last, [0.0, AHEAD_S], noise.accel_psd, noise.torque_psd, decades)
+    error = state_errors(ends, replace(estimate, **{name: getattr(found, name) for name in STATES}))[0][1]
+    squares = [
+        error[k : k + 3] @ np.linalg.solve(found.covariance[1, k : k + 3, k : k + 3], error[k : k + 3])
+        for k in range(0, 12, 3)
+    ]
+    sigma, over = np.sqrt(np.diag(found.covariance[1])), squares / found.region_sigmas[1] ** 2
+    return {"error": error.tolist(), "sigma": sigma.tolist(), "squares": over.tolist()}
+
+
+def print_levels(kind: str, lines: list[Case]) -> None:
+    """Predictions by quantity, and levels by pairs of parts."""
+    error, sigma, squares = (np.array([row[name] for row in lines]) for name in ("error", "sigma", "squares"))
+    spread, missed, ratio = (np.sqrt(np.mean(each**2, axis=0)) for each in (sigma, error, error / sigma))
+    rows: list[list[object]] = []
+    for n, name in enumerate(("r [m]", "v [m/s]", "theta [rad]", "w [rad/s]")):
+        own = slice(3 * n, 3 * n + 3)
+        cells = [", ".join(numbers(each[own], ".2f")) for each in (spread / missed, 1.0 / ratio)]
+        rows.append([name, f"{np.mean(squares[:, n] < 1.0):.1%}", *cells, f"{np.median(sigma[:, own]):.2g}"])
+    head = f"{kind}: {len(lines)} predictions of 60 s | in the 99 % region | rms sigma / rms error"
+    print_table(f"{head} | 1 / rms of error / sigma | median sigma", rows)
+    pairs = [("first", "second"), ("third", "all"), ("window", "all"), ("all", "truth"), ("first", "truth")]
+    print()
+    print_table(
+        "level of, and of | acceleration within 95 % | its decades | torque within 95 % | its decades",
+        ([*pair, *agreement(lines, *pair)] for pair in pairs[: 5 if kind == DRAWN else 3]),
+    )
+
+
+def agreement(lines: list[Case], one: str, other: str) -> list[str]:
+    """Of both levels: how many agree within both uncertainties, and the median uncertainty of the one."""
+    both, cells = [line for line in lines if one in line and other in line], []
+    for axis in (ACCELERATION, TORQUE):
+        a, b = (np.array([line[name][axis::2] for line in both]).T for name in (one, other))
+        shape = np.array([power_shape(decades) for decades in a[1]])
+        inside = (
+            np.abs(gamma.cdf(shape * b[0] / a[0], shape) - 0.5) < 0.475 if other == "truth"
+            else np.abs(np.log10(a[0] / b[0])) < 1.96 * np.hypot(a[1], b[1])
+        )  # fmt: skip
+        cells += [f"{np.sum(inside)} of {len(both)}", f"{np.median(a[1]):.2f}"]
+    return cells
 
 
 def print_known(lines: list[Case]) -> None:

@@ -32,8 +32,9 @@ from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.solve import refine
 from polhode.backend.window import SlidingWindow, frames_of
 from polhode.config.backend_settings import Backend
-from polhode.geometry.lie import Array, log_so3
+from polhode.geometry.lie import Array, Ints, log_so3
 from polhode.geometry.rigid_body import HALF_TURNS
+from polhode.records.tracks import RelativePoses
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
 
 RECORD = RECORDS / "window"
@@ -102,7 +103,7 @@ def measure_accuracy(case: Case) -> Case:
 
 def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float]:
     """Squared errors (6,) of full smoothing of the frames 0 to k."""
-    part = first_frames(sequence, k + 1)
+    part = some_frames(sequence, np.arange(k + 1))
     data, start = motion_data(part.tracks, config), true_iterate(part, config)
     found, _, _ = refine(GaussNewton(data), start, 50)
     moments, R_GP = principal_axes(found.J_G(data.form))
@@ -113,26 +114,28 @@ def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float
     return squares(sequence, k, X_NG, motion, found.com_G, (float(k1), float(k2), R_GP))
 
 
-def first_frames(sequence: SyntheticSequence, n: int) -> SyntheticSequence:
-    """The first n frames, with landmarks renumbered."""
-    tracks, truth = sequence.tracks, sequence.truth
-    use = tracks.frame < n
+def some_frames(sequence: SyntheticSequence, frames: Ints) -> SyntheticSequence:
+    """Some frames (n,), ascending, with landmarks renumbered."""
+    tracks, truth, relative = sequence.tracks, sequence.truth, sequence.relative
+    use, pairs = np.isin(tracks.frame, frames), np.isin(relative.i, frames) & np.isin(relative.j, frames)
     marks, landmark = np.unique(tracks.landmark[use], return_inverse=True)
     part = replace(
         tracks,
-        timestamps_ns=tracks.timestamps_ns[:n],
-        X_NR=tracks.X_NR[:n],
-        frame=tracks.frame[use],
+        timestamps_ns=tracks.timestamps_ns[frames],
+        X_NR=tracks.X_NR[frames],
+        frame=np.searchsorted(frames, tracks.frame[use]),
         landmark=landmark.astype(np.int64),
         uvd_px=tracks.uvd_px[use],
         sigma_px=tracks.sigma_px[use],
     )
-    states = {name: getattr(truth, name)[:n] for name in ("timestamps_ns", "r_N", "R_NP", "v_N", "w_P")}
+    states = {name: getattr(truth, name)[frames] for name in ("timestamps_ns", "r_N", "R_NP", "v_N", "w_P")}
+    i, j = (np.searchsorted(frames, each[pairs]) for each in (relative.i, relative.j))
     return replace(
         sequence,
         tracks=part,
+        relative=RelativePoses(i, j, relative.X_RiRj[pairs], relative.inliers[pairs]),
         truth=replace(truth, **states),
-        X_NG=sequence.X_NG[:n],
+        X_NG=sequence.X_NG[frames],
         p_G=sequence.p_G[marks],
         outlier=sequence.outlier[use],
     )

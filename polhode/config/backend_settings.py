@@ -65,13 +65,15 @@ class Backend(Section):
     """What gives the answer of the whole problem: IPOPT, started where Gauss-Newton ends, or Gauss-Newton
     alone; both reach the same optimum. Where Gauss-Newton does not converge, IPOPT continues in any case."""
     process_noise: Literal["estimated", "given"] = "estimated"
-    """Level of the disturbances: the most likely one given the data, or accel_psd and torque_psd."""
+    """Level of the disturbances: by a prior and the data, or exactly accel_psd and torque_psd."""
+    level_decades: float = Field(2.0, ge=0.1, le=10)
+    """Standard deviation of the prior on the logarithm of each level [decades]. accel_psd and torque_psd are
+    one above its median: five of six targets are disturbed less than stated."""
     accel_psd: float = Field(1e-6, ge=1e-30, le=1e6)
-    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared); the
-    start of its estimate."""
+    """Disturbance acceleration, power spectral density [(m/s^2)^2/Hz] (thesis eq. 6.14, squared)."""
     torque_psd: float = Field(1e-6, ge=1e-30, le=1e6)
     """Disturbance torque over the middle moment, power spectral density [(rad/s^2)^2/Hz] (thesis eq. 6.15,
-    squared); the start of its estimate."""
+    squared)."""
     systematic_px: tuple[Pixels, Pixels, Pixels] = (0.03, 0.03, 0.01)
     """Standard deviations of constant errors of u, v and disparity common to all frames [px], by matching
     (the calibration has its own sigmas). They do not appear in the residuals, and increase the sigma of

@@ -63,9 +63,9 @@ class Compare(Section):
     total_s: float = Field(900.0, ge=1e-9, le=1e8)
     """Time limit of the comparison [s]; solvers that have not started by then get a row that states so."""
     process_noise: Literal["given", "estimated"] = "given"
-    """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or the most likely
-    ones, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a cold
-    start."""
+    """Disturbances of the compared cost: those stated in backend.accel_psd and torque_psd, or those
+    estimated, which for a nearly undisturbed motion make the cost so stiff that few solvers converge from a
+    cold start."""
     cold: bool = True
     """Solve from the cold start."""
     perturbed: int = Field(0, ge=0, le=10_000)

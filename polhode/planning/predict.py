@@ -51,8 +51,11 @@ LONG_ROWS = 2_000
 MIN_HORIZON_S, MAX_HORIZON_S = 1e-6, 1e8
 ARRAYS = (
     "timestamps_ns", "r_N", "v_N", "q_NP_wxyz", "w_P", "covariance", "covariance_of_marks", "order",
+    "sigma_parts", "parts", "region_sigmas",
 )  # fmt: skip
-"""Names in the archive of a prediction."""
+"""Names in the archive of a prediction; earlier versions had not the last three."""
+PARTS = ("last state", "inertia", "disturbances")
+QUANTITIES = ("position", "velocity", "attitude", "rate")
 
 
 def predict_run(
@@ -97,7 +100,8 @@ def _predict_motion(
     assert summary.identifiable_components is not None
     shown = Silent() if progress is None or len(time_s) <= LONG_ROWS else progress
     with shown.stage("prediction", math.ceil(len(time_s) / ROWS_AT_ONCE)) as advance:
-        states = predict(estimate.last, time_s, estimate.accel_psd, estimate.torque_psd, advance)
+        psd = estimate.accel_psd, estimate.torque_psd
+        states = predict(estimate.last, time_s, *psd, estimate.level_decades, advance)
     joint, parts = read_covariance(run_folder).last_joint[:12, :12], summary.identifiable_components
     lost = undetermined_components(joint, ~np.array(parts.com_P), ~np.array(parts.axes_P), states)
     covariance, diagonal = states.covariance, np.arange(12)
@@ -218,14 +222,16 @@ def final_estimates(run: Path) -> tuple[FinalEstimate, ...]:
     bounded = summary.intervals.com_G if summary.intervals is not None else None
     com_range_G = None if bounded is None else (np.array(bounded[0]), np.array(bounded[1]))
     noise, com_G = summary.noise, np.array(summary.com_G)
-    found = [FinalEstimate(last, com_G, noise.accel_psd, noise.torque_psd, com_range_G)]
+    decades = noise.accel_psd_decades or 0.0, noise.torque_psd_decades or 0.0
+    found = [FinalEstimate(last, com_G, noise.accel_psd, noise.torque_psd, com_range_G, decades)]
     form = FORMS[load_config(run / "config.yaml").backend.inertia]
     for each in read_hypotheses(run)[1:]:
         J, by_parameters = inertia_by_parameters(each.J_G, form)
         end = FinalState(
             each.r_N, each.v_N, each.R_NG, each.w_G, J, each.R_GP, by_parameters, each.covariance
         )
-        found.append(FinalEstimate(end, each.com_G, each.accel_psd, each.torque_psd, com_range_G))
+        levels = each.accel_psd, each.torque_psd
+        found.append(FinalEstimate(end, each.com_G, *levels, com_range_G, each.level_decades))
     return tuple(found)
 
 
@@ -269,7 +275,7 @@ def _is_prediction(path: Path, run_folder: Path) -> bool:
     """
     try:
         if path.suffix == ".npz":
-            return set(ARRAYS) == set(load_archive(path, path.name).arrays)
+            return set(ARRAYS[:-3]) <= set(load_archive(path, path.name).arrays) <= set(ARRAYS)
         found, own = read_trajectory(path), read_trajectory(run_folder)
         if found.timestamps_ns[0] in own.timestamps_ns or not is_as_written(found, path):
             return False
@@ -306,8 +312,9 @@ def write_prediction(prediction: PredictedMotion, path: Path, marks: bool) -> No
         "w_P": prediction.w_P,
     }
     if path.suffix == ".npz":
-        covariances = {name: getattr(prediction, name) for name in ("covariance", "covariance_of_marks")}
-        write_arrays(path, states | covariances | {"order": np.array(STATE_ORDER)})
+        names = "covariance", "covariance_of_marks", "sigma_parts", "region_sigmas"
+        spread = {name: getattr(prediction, name) for name in names}
+        write_arrays(path, states | spread | {"order": np.array(STATE_ORDER), "parts": np.array(PARTS)})
         return
     sigma = standard_deviations(prediction.covariance_of_marks if marks else prediction.covariance)
     write_trajectory(Trajectory(*states.values(), *np.split(sigma, 4, axis=1)), path)
@@ -346,6 +353,7 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
                     cells.append(f"{(scale * sigma[k, part]).max():.2g}")
                 table.add_row(*cells)
             console.print(table)
+        console.print(_parts_at_horizon(prediction))
     sigmas_of = "the body itself (--marks)" if marks else "the centre of mass and the principal axes"
     words = f"Seconds after the last pair; ±: one standard deviation, worst axis, of {sigmas_of}.\n"
     if prediction.undetermined:
@@ -357,6 +365,18 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
     if prediction.ranges:
         words += f"By the hull of the body: {'; '.join(prediction.ranges)}.\n"
     return capture.get() + words
+
+
+def _parts_at_horizon(prediction: PredictedMotion) -> Table:
+    """What the sigmas of the last row are made of, and how many of them hold 99 %."""
+    table = Table(title="Variance at the horizon, of the centre of mass and the principal axes")
+    for name in ("", *PARTS, "99 % region [sigma]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    variances = np.square(prediction.sigma_parts[-1]).reshape(len(PARTS), 4, 3).sum(axis=2)
+    shares = variances / np.maximum(variances.sum(axis=0), 1e-300)
+    for name, share, radius in zip(QUANTITIES, shares.T, prediction.region_sigmas[-1], strict=True):
+        table.add_row(name, *(f"{each:.0%}" for each in share), f"{radius:.2f}")
+    return table
 
 
 def shown_rows(time_s: Array) -> Ints:

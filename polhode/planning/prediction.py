@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.linalg import expm
+from scipy.optimize import brentq
+from scipy.special import chdtr, chdtri, gammaincinv, polygamma
 
 from polhode.geometry.lie import (
     Array,
@@ -36,6 +38,8 @@ from polhode.runtime.progress import Advance
 PAIRS = 128
 UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
+IN_REGION = 0.99
+"""Share of the errors in the regions of a prediction."""
 ROWS_AT_ONCE = 64
 """Instants at which all members are held at once: it bounds the memory of long predictions."""
 
@@ -113,12 +117,14 @@ def predict(
     time_s: ArrayLike,
     accel_psd: float,
     torque_psd: float,
+    level_decades: tuple[float, float] = (0.0, 0.0),
     advance: Advance = lambda: None,
 ) -> Prediction:
     """Propagate to time_s (T,), increasing, >= 0 [s] after the last state.
 
-    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment. ``advance`` is
-    called after every ROWS_AT_ONCE rows, and after the last ones.
+    accel_psd [(m/s^2)^2/Hz]; torque_psd [(rad/s^2)^2/Hz], torque over the middle moment: means; their
+    logarithms have the standard deviations level_decades. ``advance`` is called after every ROWS_AT_ONCE
+    rows, and after the last ones.
     """
     time = np.asarray(time_s, dtype=np.float64)
     grid = time if time[0] == 0.0 else np.concatenate([[0.0], time])
@@ -130,24 +136,78 @@ def predict(
     turn = exp_so3(deviation[:, 12:17] @ axes_jacobian(last).T)
     com = deviation[:, 17:20]
     moments = np.diag(R_GP.T @ last.J_G @ R_GP)
-    of_axes = process_noise(moments / moments[1], last.w_G @ R_GP, time, accel_psd, torque_psd)
-    of_marks = of_axes.copy()
+    moments = moments / moments[1]
+    of_axes = process_noise(moments, last.w_G @ R_GP, time, accel_psd, torque_psd)
+    # an error of the attitude of s radians bends by s^2 / 2 off the direction of the linear flow
+    bend, k = (0.5 * np.linalg.eigvalsh(of_axes[:, 6:9, 6:9])[:, -1]) ** 2, np.arange(6, 12)
+    of_axes[:, k, k] += bend[:, None] * np.repeat([1.0, last.w_G @ last.w_G], 3)
+    # of a rate in any direction, of the size at the start and what may have been added since
+    rate = np.sum(w_P**2, axis=1) + np.trace(last.covariance[9:12, 9:12])
+    rate += torque_psd * time * np.sum(moments**-2.0)
+    most = np.sqrt(np.hstack([np.full_like(w_P, UNKNOWN_RAD**2), rate[:, None] + w_P**2]))
+    of_marks, of_noise = of_axes.copy(), np.diagonal(of_axes, axis1=1, axis2=2).copy()
+    by_last_state, of_state = _by_last_state(deviation), np.empty_like(of_noise)
     for rows, R, w in _members_by_blocks(last, deviation, J, time):
         dr = deviation[:, 0:3] + time[rows, None, None] * deviation[:, 3:6]
         dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
         R_PP = np.swapaxes(R_NP[rows], 1, 2)[:, None] @ R @ R_GP
 
         dw = np.einsum("nji,tnj->tni", R_GP @ turn, w) - w_P[rows, None]
-        of_axes[rows] += _second_moments(dr, dv, log_so3(R_PP @ turn), dw)
+        own = np.concatenate([dr, dv, log_so3(R_PP @ turn), dw], axis=-1)
+        of_axes[rows] += _second_moments(own)
+        of_state[rows] = np.mean((by_last_state @ own) ** 2, axis=1)
 
         lever = np.einsum("tnij,nj->tni", R, com)
         swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
         dw = (w - w_G[rows, None]) @ R_GP
-        of_marks[rows] += _second_moments(dr - lever, dv - swing, log_so3(R_PP), dw)
+        of_marks[rows] += _second_moments(
+            np.concatenate([dr - lever, dv - swing, log_so3(R_PP), dw], axis=-1)
+        )
         for covariance in (of_axes, of_marks):
-            covariance[rows] = _no_worse_than_unknown(covariance[rows])
+            covariance[rows] = _no_worse_than_unknown(covariance[rows], most[rows])
         advance()
-    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks)
+    whole = np.diagonal(of_axes, axis1=1, axis2=2)
+    by_inertia = np.maximum(whole - of_noise - of_state, 0.0)
+    parts = np.sqrt(np.stack([of_state, by_inertia, of_noise], axis=1))
+    share = (of_noise / np.maximum(whole, 1e-300)).reshape(-1, 4, 3).max(axis=2)
+    accel, torque = level_decades
+    regions = np.hstack([region_sigmas(share[:, :2], accel), region_sigmas(share[:, 2:], torque)])
+    return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, regions)
+
+
+def _by_last_state(deviation: Array) -> Array:
+    """(N, N) of errors of N members to what of them is linear in the deviations (N, 20) of their states."""
+    of_state_and_inertia = deviation[:, :17]
+    scale = np.sqrt(np.mean(of_state_and_inertia**2, axis=0))
+    regressors = of_state_and_inertia / np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(regressors[:, :12] @ np.linalg.pinv(regressors, rcond=1e-9)[:12])
+
+
+def power_shape(decades: float) -> float:
+    """Shape of the gamma distribution of a power whose logarithm has this standard deviation; inf: exact.
+
+    A gamma distribution has a long tail towards powers that make no difference, as what is known of a
+    level that the data hardly resolve.
+    """
+    variance = (np.log(10.0) * decades) ** 2
+    if variance < 1e-6:
+        return np.inf
+    return float(np.exp(brentq(lambda log_shape: polygamma(1, np.exp(log_shape)) - variance, -20.0, 20.0)))
+
+
+def region_sigmas(noise_share: Array, decades: float) -> Array:
+    """(...,) standard deviations that a region of three components extends which holds 99 % of the errors.
+
+    noise_share (...,): of the variance, by disturbances of a level that is gamma distributed.
+    """
+    shape, share = power_shape(decades), np.linspace(0.0, 1.0, 65)
+    if not np.isfinite(shape):
+        return np.full(noise_share.shape, np.sqrt(chdtri(3.0, 1.0 - IN_REGION)))
+    # levels that are equally likely, of mean 1
+    levels = gammaincinv(shape, (np.arange(512) + 0.5) / 512)
+    variance = np.maximum(1.0 + share[:, None] * (levels / levels.mean() - 1.0), 1e-12)
+    squares = [brentq(lambda s, of=of: chdtr(3.0, s / of).mean() - IN_REGION, 0.0, 1e4) for of in variance]
+    return np.asarray(np.interp(noise_share, share, np.sqrt(squares)))
 
 
 def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
@@ -266,17 +326,16 @@ def _members_by_blocks(
         yield rows, matrix_from_wxyz(q), parts[..., 4:]
 
 
-def _second_moments(*deviations: Array) -> Array:
-    """Mean square (T, 12, 12) of four deviations (T, N, 3) about the prediction itself."""
-    d = np.concatenate(deviations, axis=-1)
+def _second_moments(d: Array) -> Array:
+    """Mean square (T, 12, 12) of deviations (T, N, 12) about the prediction itself."""
     return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
 
 
-def _no_worse_than_unknown(covariance: Array) -> Array:
-    """(T, 12, 12), the attitude's standard deviations limited to those of a uniform distribution."""
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:9])
+def _no_worse_than_unknown(covariance: Array, most: Array) -> Array:
+    """(T, 12, 12), with standard deviations of attitude and rate of at most those (T, 6) of any direction."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, 6:])
     factor = np.ones(covariance.shape[:2])
-    factor[:, 6:9] = UNKNOWN_RAD / np.maximum(sigma, UNKNOWN_RAD)
+    factor[:, 6:] = most / np.maximum(sigma, most)
     return np.asarray(factor[:, :, None] * covariance * factor[:, None, :])
 
 
@@ -356,9 +415,11 @@ class FinalEstimate:
     accel_psd: float
     """[(m/s^2)^2/Hz]"""
     torque_psd: float
-    """[(rad/s^2)^2/Hz], torque over the middle moment"""
+    """[(rad/s^2)^2/Hz], torque over the middle moment; both are means"""
     com_range_G: tuple[Array, Array] | None = None
     """Least and largest components (3,) of the centre of mass [m] by other bounds; None: there are none"""
+    level_decades: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of the logarithms of both levels [decades]"""
 
 
 @dataclass(frozen=True)
@@ -448,13 +509,17 @@ def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator
 
 
 class DisturbancePaths:
-    """White accelerations and torques, as random paths of position and attitude about the nominal motion."""
+    """White accelerations and torques, as random paths of position and attitude about the nominal motion.
+
+    Each path has levels of its own, as far as they are uncertain.
+    """
 
     def __init__(self, estimate: FinalEstimate, time_s: Array) -> None:
         """Prepare the steps between times (T,) > 0 [s], the first one from 0."""
         last = estimate.last
         self.step_s = np.diff(time_s, prepend=0.0)
         self.accel_psd, self.R_GP = estimate.accel_psd, last.R_GP
+        self.shapes = [power_shape(decades) for decades in estimate.level_decades]
         moments = np.diag(last.R_GP.T @ last.J_G @ last.R_GP)
         moments = moments / moments[1]
         middle = time_s - 0.5 * self.step_s
@@ -479,9 +544,13 @@ class DisturbancePaths:
         T = len(self.step_s)
         shift, turn = np.empty((count, T, 3)), np.empty((count, T, 3))
         x, r, v = np.zeros((count, 6)), np.zeros((count, 3)), np.zeros((count, 3))
+        accel, torque = (
+            np.sqrt(rng.gamma(shape, 1.0 / shape, (count, 1))) if np.isfinite(shape) else np.ones((count, 1))
+            for shape in self.shapes
+        )
         for k, dt in enumerate(self.step_s):
-            x = x @ self.flow[k].T + rng.normal(size=(count, 6)) @ self.root[k].T
-            kick, inside = rng.normal(size=(2, count, 3)) * np.sqrt(self.accel_psd * dt)
+            x = x @ self.flow[k].T + torque * rng.normal(size=(count, 6)) @ self.root[k].T
+            kick, inside = accel * rng.normal(size=(2, count, 3)) * np.sqrt(self.accel_psd * dt)
             r = r + dt * (v + 0.5 * kick + inside / np.sqrt(12.0))
             v = v + kick
             shift[:, k], turn[:, k] = r, x[:, :3] @ self.R_GP.T

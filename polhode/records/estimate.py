@@ -32,6 +32,9 @@ class NoiseLevels:
     """[(m/s^2)^2/Hz]"""
     torque_psd: float
     """[(rad/s^2)^2/Hz], torque over the middle moment."""
+    accel_psd_decades: float = 0.0
+    """Standard deviation of the logarithm of accel_psd, a mean power [decades]; 0: it was given"""
+    torque_psd_decades: float = 0.0
     times_stated: float | None = None
     """Estimated over stated level (power), the larger of force and torque; None: unknown"""
     drift_px: float = 0.0
@@ -207,6 +210,8 @@ class RotationHypothesis:
     """[(m/s^2)^2/Hz]"""
     torque_psd: float
     """[(rad/s^2)^2/Hz], torque over the middle moment"""
+    level_decades: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of the logarithms of both [decades]"""
     turn_deg: float = 0.0
     """Median rotation between frames [deg]"""
 
@@ -328,3 +333,10 @@ class Prediction:
     """of the centre of mass and the principal axes: large where those are poorly known"""
     covariance_of_marks: Array
     """of the body: the estimated centre of mass and axes are exact marks on it"""
+    sigma_parts: Array
+    """(T, 3, 12) standard deviations in ``covariance`` by the last state, by what the uncertain inertia adds,
+    and by disturbances"""
+    region_sigmas: Array
+    """(T, 4) standard deviations that the regions of r, v, theta and w extend which hold 99 %: the root of
+    e^T C^-1 e there, e an error of three components and C its block of ``covariance``. 3.37 where the level
+    of the disturbances is known or does not matter"""

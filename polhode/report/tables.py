@@ -226,8 +226,13 @@ def run_rows(content: StoredRun) -> list[TableRow]:
             )
             if value is not None
         ]
-        rows.append(TableRow("disturbance acceleration", f"{np.sqrt(noise.accel_psd):.2g}", "m/s² /√Hz"))
-        rows.append(TableRow("disturbance torque / Jyy", f"{np.sqrt(noise.torque_psd):.2g}", "rad/s² /√Hz"))
+        for name, psd, decades, unit in (
+            ("disturbance acceleration", noise.accel_psd, noise.accel_psd_decades, "m/s² /√Hz"),
+            ("disturbance torque / Jyy", noise.torque_psd, noise.torque_psd_decades, "rad/s² /√Hz"),
+        ):
+            # half of the power's decades are the amplitude's
+            within = f", within a factor of {10.0 ** (0.5 * decades):.2g}" if decades else ""
+            rows.append(TableRow(name, f"{np.sqrt(psd):.2g}{within}", unit))
     if (solver := summary.solver) is not None:
         ended = "converged" if solver.converged else f"stopped: {solver.message or 'not converged'}"
         rows.append(TableRow("solver", f"{solver.name}, {solver.iterations} iterations"))

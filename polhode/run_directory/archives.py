@@ -185,6 +185,7 @@ def read_hypotheses(run: Path) -> tuple[RotationHypothesis, ...]:
     count, n = len(archive.numbers("odds", None)), len(BODY_ORDER)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("R_NG", "J_G", "R_GP"), (3, 3))
     shapes |= {"covariance": (n, n), "odds": (), "accel_psd": (), "torque_psd": (), "turn_deg": ()}
+    shapes["level_decades"] = (2,)
     names = [field.name for field in fields(RotationHypothesis)]
     columns = {name: archive.numbers(name, count, *shapes.get(name, (3,))) for name in names}
     return tuple(RotationHypothesis(**{name: columns[name][k] for name in names}) for k in range(count))

@@ -187,6 +187,10 @@ class Noise(StrictModel):
     """[(m/s^2)^2/Hz]"""
     torque_psd: Finite
     """[(rad/s^2)^2/Hz], torque over the middle moment."""
+    accel_psd_decades: Variance = None
+    """Standard deviation of log10 of accel_psd, which is the mean power; 0: given; null: not stored."""
+    torque_psd_decades: Variance = None
+    """Likewise of torque_psd."""
     drift_px: Variance = None
     """Standard deviation of what features slide over the surface, with the light and the direction of view,
     while the target turns by more than a radian [px]; null: not measured."""

@@ -120,7 +120,7 @@ def make_example() -> Example:
         landmarks=Landmarks(points, np.full(150, 4e-4), np.bincount(tracks.landmark, minlength=150)),
         residuals_px=residuals,
         inlier_weight=1.0 / (1.0 + np.sum((residuals / tracks.sigma_px) ** 2, axis=1) / 9.0),
-        noise=NoiseLevels(0.3, 0.15, 1e-6, 1e-6),
+        noise=NoiseLevels(0.3, 0.15, 1e-6, 1e-6, 0.5, 0.5),
         solver=SolverOutcome("ipopt", 7, 1234.5, True, 1.02, "Solve_Succeeded", {"sphere": 1234.5}),
     )
     count = len(box.vertices)

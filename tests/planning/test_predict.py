@@ -77,6 +77,11 @@ def test_the_table_goes_on_where_the_trajectory_ends(
     np.testing.assert_allclose(path.r_N, r_N[1:], atol=1e-9)
     np.testing.assert_allclose(path.R_NP, R_NP[1:], atol=1e-8)
     np.testing.assert_allclose(path.w_P, w_P[1:], atol=1e-8)
+    # the level of the example's disturbances is known within half a decade: more than 3.37 sigmas hold 99 %
+    position = next(row for row in shown.splitlines() if "position" in row).split()
+    shares, size = [float(cell[:-1]) for cell in position if cell.endswith("%")], float(position[-2])
+    assert len(shares) == 3 and sum(shares) == pytest.approx(100.0, abs=1.5)
+    assert 3.4 < size < 6.0
     # the last row on the screen is that of the file
     last = [row for row in shown.splitlines() if re.match(r"\W*10 ", row)]
     assert len(last) == 2
@@ -101,6 +106,8 @@ def test_the_archive_holds_full_covariances_and_the_same_bytes_again(
     assert files[0].read_bytes() == files[1].read_bytes()
     with np.load(files[0]) as arrays:
         assert arrays["covariance"].shape == arrays["covariance_of_marks"].shape == (5, 12, 12)
+        assert arrays["sigma_parts"].shape == (5, 3, 12) and arrays["region_sigmas"].shape == (5, 4)
+        assert arrays["parts"].tolist() == ["last state", "inertia", "disturbances"]
         steps = np.diff(arrays["timestamps_ns"], prepend=example.estimate.timestamps_ns[-1])
     np.testing.assert_array_equal(steps, [700_000_000, 700_000_000, 700_000_000, 700_000_000, 200_000_000])
 
@@ -210,7 +217,8 @@ def test_the_inertia_follows_the_solvers_parameters(name: str) -> None:
 @pytest.mark.parametrize("rate", [(0.4, 0.0, 0.3), (0.3, 0.3, 0.3)])
 def test_a_free_turn_about_an_axis_leaves_both_rates_across_it_open(rate: tuple[float, float, float]) -> None:
     one, covariance = np.zeros((1, 3)), np.eye(12)[None]
-    states = Prediction(np.ones(1), one, one, np.eye(3)[None], np.array([rate]), covariance, covariance)
+    spread = covariance, covariance, np.zeros((1, 3, 12)), np.full((1, 4), 3.37)
+    states = Prediction(np.ones(1), one, one, np.eye(3)[None], np.array([rate]), *spread)
     free_z = np.array([False, False, True])
     lost = undetermined_components(np.eye(12), np.zeros(3, dtype=np.bool_), free_z, states)
     assert lost[0].tolist() == [*[False] * 6, False, False, True, True, True, False]

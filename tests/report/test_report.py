@@ -269,6 +269,8 @@ def test_the_histogram_has_the_noise_of_the_tables_and_rms_counts_inliers_only(
     expected = [noise.pixel_sigma_px, noise.pixel_sigma_px, noise.disparity_sigma_px]
     np.testing.assert_allclose(np.median(sigma_px, axis=0), expected, rtol=1e-12)
     shown = {row.name: row.value for row in run_rows(content)}
+    # a power known within half a decade: an amplitude within a quarter
+    assert shown["disturbance acceleration"] == "0.001, within a factor of 1.8"
     page = _page(run_folder)
     for name in ("noise of u, v", "noise of the disparity"):
         assert page.words.count(f"{shown[name]} px of") >= 2, "in both captions"

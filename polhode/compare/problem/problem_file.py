@@ -14,6 +14,7 @@ import numpy as np
 from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import FORMS
 from polhode.backend.problem.iterate import Iterate
+from polhode.backend.problem.level_prior import LevelPrior
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.problem.wrench import Impulses
 from polhode.backend.solvers.linearization_point import LinearizationPoint
@@ -22,11 +23,13 @@ from polhode.files.array_files import read_arrays
 from polhode.records.truth import Truth
 
 RECORDS: dict[str, type] = {
-    "": MeasuredProblem, "data.": MotionData, "data.impulses.": Impulses, "fixed.": LinearizationPoint,
+    "": MeasuredProblem, "data.": MotionData, "data.impulses.": Impulses,
+    "data.level_prior.": LevelPrior, "fixed.": LinearizationPoint,
     "fixed.reference.": Iterate, "fixed.steps.": Steps, "truth.": Truth,
 }  # fmt: skip
 """By the beginning of the names of their fields."""
-PAIRS = ("data.camera_sigma", "data.bias_sigma", "data.node_sigma", "fixed.bias_sigma")
+PAIRS = ("data.camera_sigma", "data.bias_sigma", "data.node_sigma", "fixed.bias_sigma",
+         "data.level_prior.stated", "data.level_decades")  # fmt: skip
 
 
 def write_problem(problem: MeasuredProblem, path: Path) -> None:

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from polhode.backend.outliers_and_noise.process_level import (
     AGREEING_EVIDENCE,
-    FLOOR_PSD,
-    INSIGNIFICANT_EVIDENCE,
     CondensedGaussNewton,
     LevelSearch,
     VisionExpansion,
@@ -17,6 +16,7 @@ from polhode.backend.outliers_and_noise.process_level import (
     with_level,
     without_landmarks,
 )
+from polhode.backend.problem.level_prior import FLOOR_PSD
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
 from polhode.config.backend_settings import Backend
@@ -65,14 +65,19 @@ def test_evidence_differs_between_levels_as_that_of_the_whole_problem(fitted: Mo
     assert np.allclose(np.diff(condensed), np.diff(whole), atol=AGREEING_EVIDENCE)
 
 
-def test_the_level_found_is_as_likely_as_any_of_its_neighbours(fitted: MotionFit) -> None:
-    data, best = fitted.data, estimate_process_noise(fitted)
-    levels = np.array([best.data.accel_psd, best.data.torque_psd])
-    assert np.all(levels >= FLOOR_PSD)
-    assert levels[0] <= data.accel_psd and levels[1] <= data.torque_psd
-    # each level is raised towards the stated one while that is not significant
-    most = best.minus_log_evidence - 2.0 * INSIGNIFICANT_EVIDENCE - AGREEING_EVIDENCE
-    neighbours = [levels * factors for factors in ((10.0, 1.0), (0.1, 1.0), (1.0, 10.0), (1.0, 0.1))]
-    for accel_psd, torque_psd in [np.array([1e-8, 1e-8]), *neighbours]:
-        other = MotionFit(with_level(data, accel_psd, torque_psd), best.iterate)
-        assert fit_level(other, 10).minus_log_evidence > most
+def test_the_level_is_the_mean_of_the_posterior_of_the_whole_problem(fitted: MotionFit) -> None:
+    found = estimate_process_noise(fitted).data
+    prior, at = fitted.data.level_prior, np.arange(-12.0, 1.51, 0.5)
+    for axis, psd in enumerate((found.accel_psd, found.torque_psd)):
+        levels = np.tile([found.accel_psd, found.torque_psd], (len(at), 1))
+        # below the floor the evidence is that of the floor
+        levels[:, axis] = np.maximum(prior.stated[axis] * 10.0**at, FLOOR_PSD)
+        fits = [fit_level(MotionFit(with_level(found, *each), fitted.iterate), 20) for each in levels]
+        cost = np.array([each.minus_log_evidence for each in fits]) + prior.minus_log(at)
+        fine = np.linspace(at[0], at[-1], 2001)
+        weight = np.exp(cost.min() - CubicSpline(at, cost)(fine))
+        mean = np.average(prior.stated[axis] * 10.0**fine, weights=weight)
+        spread = np.sqrt(np.cov(fine, aweights=weight))
+        # the expansion has the evidence of the problem within AGREEING_EVIDENCE
+        assert abs(np.log10(psd / mean)) < 0.25 * spread
+        assert found.level_decades[axis] == pytest.approx(float(spread), rel=0.25)
