@@ -49,12 +49,12 @@ def estimate_part(
     known = InitialMotion(inverse_pose(part.X_NR) @ whole.X_NG[frames], np.ones(len(frames), dtype=np.bool_))
     every = np.ones(len(data.frame), dtype=np.bool_), np.ones(data.n_landmarks, dtype=np.bool_)
     own = "drift" if config.correlated_errors == "slide" else config.correlated_errors
+    unshared = config.model_copy(update={"correlated_errors": own, "light_px": 0.0})
     try:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             solved = refine(GaussNewton(data, line_search=True), start.iterate, 20)[0]
-            return assemble(
-                part, PrunedFit(data, PrunedProblem(data, *every), solved, scales), known, own, 0.0
-            )
+            whole_part = PrunedFit(data, PrunedProblem(data, *every), solved, scales)
+            return assemble(part, whole_part, known, unshared)
     except LinAlgError:
         return None
 

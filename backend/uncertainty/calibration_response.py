@@ -44,6 +44,11 @@ class LinearObservations:
         np.add.at(pull, self.landmark, weighted @ effect)
         return np.asarray(-C_inv @ pull)
 
+    def refitted(self, poses: Array, moved: Array) -> Array:
+        """What is left (M, 3, c) of the effects, poses moved by (F, 6, c) and landmarks by (L, 3, c)."""
+        at_poses = self.to_pose @ poses[self.frame]
+        return np.asarray(self.effect + at_poses + self.to_landmark @ moved[self.landmark])
+
     def gradient(self, moved: Array, n_frames: int) -> Array:
         """Gradient (F, 6, c) in the poses, the landmarks moved by (L, 3, c)."""
         effect = self.effect + self.to_landmark @ moved[self.landmark]

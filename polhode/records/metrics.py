@@ -19,7 +19,7 @@ from polhode.runtime.errors import InputError
 _SAME_INSTANT_NS = 1_000
 COMPONENTS = {
     **{"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3},
-    **{"inertia": 5, "com": 3, "axes": 3},
+    **{"inertia": 5, "com": 3, "axes": 3, "momentum": 2, "momentum_size": 1, "spin": 2},
 }
 """Of each quantity with a NEES and a coverage."""
 NEES, COVERAGE, COVERAGE_CONSTANTS = "nees", "coverage_3sigma", "coverage_3sigma_constants"
@@ -179,6 +179,11 @@ def nees(errors: Array, covariance: Array) -> float | None:
     except np.linalg.LinAlgError:
         return None
     return float(np.mean(np.sum(whitened * solved, axis=-1)))
+
+
+def across(unit: Array) -> Array:
+    """(2, 3) two axes across a direction (3,), and across each other."""
+    return np.asarray(np.linalg.svd(unit[None])[2][1:])
 
 
 def coverage(error: Array, covariance: Array) -> float | None:

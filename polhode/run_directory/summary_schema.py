@@ -200,6 +200,17 @@ class SigmaParts(StrictModel):
     calibration: Finite
 
 
+class CalibrationError(StrictModel):
+    """A combination of errors of the calibration that the data determine, and that was taken off."""
+
+    parameters: dict[str, Finite]
+    """Those that mainly belong to it, true minus stated, by name: px, m, rad (``calibration_covariance.npz``)."""
+    value: Finite
+    """In sigmas of the prior."""
+    sigma: Finite
+    """Standard deviation that is left, in sigmas of the prior."""
+
+
 class CalibrationSigmas(StrictModel):
     """What errors of the calibration contribute to the sigmas; states are those of the last frame."""
 
@@ -213,6 +224,8 @@ class CalibrationSigmas(StrictModel):
     k2: SigmaParts
     axes_rad: SigmaParts
     com_m: SigmaParts
+    estimated: list[CalibrationError] = Field(default_factory=list)
+    """Empty: these data determine nothing better than the prior does, and all errors are considered."""
 
 
 class UnknownPush(StrictModel):
