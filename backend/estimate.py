@@ -256,8 +256,8 @@ def with_calibration(
 ) -> tuple[StereoTracks, MotionEstimate]:
     """Measurements freed of the calibration's errors that they determine, and the estimate from these.
 
-    The same ones where nothing is determined, or more than one rotation is left open. The estimate's covariances
-    have what is left of the errors; effects of the tracks are of one sigma of that.
+    The same ones where nothing is determined, or more than one rotation is left open. The estimate's
+    covariances have what is left of the errors; effects of the tracks are of one sigma of that.
     """
     effects, part, score = tracks.calibration, estimate.calibration, estimate.calibration_score
     if effects is None or part is None or score is None or estimate.hypotheses:

@@ -17,7 +17,7 @@ from polhode.backend.outliers_and_noise.systematic import common_slide
 from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, N_CONSTANTS, POSE, XI
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
-from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
+from polhode.backend.solvers.robust_kernel import robust_information, robust_weight, score_gain
 from polhode.backend.uncertainty.calibration_response import whitened_effects
 from polhode.backend.uncertainty.covariance import (
     DependentErrors,
@@ -83,11 +83,10 @@ def assemble(
     information, effects = robust_information(s, data.robust_scale), whitened_effects(small, tracks)
     longer = stretches(small)
     m = marginals(small, information, errors, effects, longer)
-    score = score_of(
-        *(small, residuals[kept.observations], (weight[kept.observations], information)),
-        *((np.concatenate([longer, effects], axis=2), m.refitted), errors),
-        unmodelled_errors(small.data, longer, config.systematic_px, config.light_px),
-    )
+    pull = score_gain(s, data.robust_scale) * (weight[:, None] * residuals)[kept.observations]
+    unmodelled = unmodelled_errors(small.data, longer, config.systematic_px, config.light_px)
+    all_effects = np.concatenate([longer, effects], axis=2), m.refitted
+    score = score_of(small, pull, information, all_effects, errors, unmodelled)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP

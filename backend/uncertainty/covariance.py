@@ -86,7 +86,7 @@ def marginals(
 
     ``errors``, and the effects ``calibration`` (M, 3, c) of one sigma of errors of the calibration on the
     whitened observations: the solution does not know of them, its covariance does. What the motion determines
-    is judged without the calibration. ``probes`` (M, 3, p): effects of which only what the fit leaves is sought.
+    is judged without the calibration. ``probes`` (M, 3, p): effects of which what the fit leaves is sought.
     """
     solver, fixed, x = GaussNewton(fit.data), fit.linearized(), fit.iterate.vector()
     bare = solver.normal_equations(fixed, x, weight, prior=False)

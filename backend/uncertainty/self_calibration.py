@@ -1,15 +1,16 @@
 """What the data say of the calibration's errors, everything else fitted to them again.
 
-To first order the residuals are r = E z + e, with the effects E of errors z that have a unit normal prior. With
-states and landmarks eliminated, the score is s = A z + n with the information A = E^T W E', E' what the fit
-leaves of the effects. The noise n has covariance A where the errors of the observations are independent; what
-they have in common is added (B), as for the states (``covariance.py``), so that dependent errors do not count as
-many independent ones. The posterior then has the information I + A B^-1 A and the mean
-(I + A B^-1 A)^-1 A B^-1 s. In its eigenvectors the errors are independent before and after: those that the data
-determine are estimated, the others stay considered.
+To first order the residuals are r = E z + e, with the effects E of errors z that have a unit normal prior.
+With states and landmarks eliminated, the score is s = A z + n with the information A = E^T W E', E' what the
+fit leaves of the effects. The noise n has covariance A where the errors of the observations are independent;
+what they have in common is added (B), as for the states (``covariance.py``), so that dependent errors do not
+count as many independent ones. The posterior then has the information I + A B^-1 A and the mean
+(I + A B^-1 A)^-1 A B^-1 s. In its eigenvectors the errors are independent before and after: those that the
+data determine are estimated, the others stay considered.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,15 +25,15 @@ MAX_SHARE = 0.5
 """Of the prior's standard deviation: an error with a smaller posterior one is estimated. The gain of the
 others is less than half of what they contribute, and the residuals' correlation is known no better."""
 UNMODELLED_SHARE = 5e-4 / 0.12
-"""Of the focal length, by each pixel that features slide with the light (``backend.light_px``): they pretend as
-much on bodies that turn by less than one revolution, 5e-4 with 0.12 px"""
+"""Of the focal length, by each pixel that features slide with the light (``backend.light_px``): they pretend
+as much on bodies that turn by less than one revolution, 5e-4 with 0.12 px"""
 NAMED = 0.5
 """Correlation from which on a parameter is named with an estimated error."""
 
 
 def stretches(fit: MotionFit) -> Array:
-    """Effects (M, 3, 2) on the whitened observations: of a focal length that is longer by its own size, and of
-    disparities that are a pixel larger."""
+    """Effects (M, 3, 2) on the whitened observations: of a focal length that is longer by its own size, and
+    of disparities that are a pixel larger."""
     d, at = fit.data, fit.iterate
     A = d.R_RN @ at.R_NG
     p_R = np.einsum("mij,mj->mi", A[d.frame], at.p_G[d.landmark])
@@ -46,10 +47,10 @@ def stretches(fit: MotionFit) -> Array:
 def unmodelled_errors(
     data: MotionData, longer: Array, offset_px: tuple[float, float, float], light_px: float
 ) -> Array:
-    """Effects (M, 3, 10) of errors that are not the calibration's: of matching, and a length that light pretends.
+    """Effects (M, 3, 10) of errors that are not the calibration's: of matching, and what light pretends.
 
-    What matching shifts in all frames by offset_px may as well grow across the image, as much again within the
-    scatter of the features. ``longer`` from ``stretches``.
+    What matching shifts in all frames by offset_px may as well grow across the image, as much again within
+    the scatter of the features. ``longer`` from ``stretches``.
     """
     off = data.uvd_px[:, :2] - data.uvd_px[:, :2].mean(axis=0)
     across = np.column_stack([np.ones(len(off)), off / np.maximum(off.std(axis=0), 1e-9)])
@@ -60,20 +61,19 @@ def unmodelled_errors(
 
 def score_of(
     fit: MotionFit,
-    residuals: Array,
-    weights: tuple[Array, Array],
+    pull: Array,
+    information: Array,
     effects: tuple[Array, Array],
     errors: DependentErrors | None,
     common: Array,
 ) -> CalibrationScore:
     """The score of n errors at a solution.
 
-    residuals (M, 3): whitened, measured minus predicted. weights: (M,) of the robust kernel, and (M,) the
-    information that is left under it. effects: (M, 3, n) on the whitened observations, and what the fit leaves of
-    them. common (M, 3, k): effects of one sigma of errors that all observations share, besides those of
-    ``errors``.
+    pull (M, 3): whitened residuals, measured minus predicted, times a weight, so that their slope and their
+    variance are the ``information`` (M,). effects: (M, 3, n) on the whitened observations, and what the fit
+    leaves of them. common (M, 3, k): effects of one sigma of errors that all observations share, besides
+    those of ``errors``.
     """
-    weight, information = weights
     whole, left = effects
     A = np.einsum("m,mai,maj->ij", information, whole, left, optimize=True)
     A = 0.5 * (A + A.T)
@@ -83,7 +83,7 @@ def score_of(
     noise = A + shared @ shared.T
     if errors is not None:
         noise += _excess(fit, np.sqrt(information)[:, None, None] * left, errors)
-    return CalibrationScore(A, np.einsum("m,mai,ma->i", weight, whole, residuals, optimize=True), noise)
+    return CalibrationScore(A, np.einsum("mai,ma->i", whole, pull, optimize=True), noise)
 
 
 def _excess(fit: MotionFit, left: Array, errors: DependentErrors) -> Array:
@@ -92,7 +92,7 @@ def _excess(fit: MotionFit, left: Array, errors: DependentErrors) -> Array:
     out = np.einsum("mai,ma,maj->ij", left, errors.variance - 1.0, left, optimize=True)
     if not errors.drift.any():
         return np.asarray(out)
-    for first, end in zip(start[:-1], start[1:], strict=True):
+    for first, end in pairwise(start.tolist()):
         seen = frame[first:end]
         own = np.swapaxes(left[first:end], 0, 1)
         out += np.sum(np.swapaxes(own, 1, 2) @ errors.drift[:, seen[:, None], seen] @ own, axis=0)
@@ -113,7 +113,8 @@ class DeterminedErrors:
 def determined_errors(found: CalibrationScore, effects: CalibrationEffects) -> DeterminedErrors | None:
     """Those whose standard deviation the data reduce below MAX_SHARE of the prior's; None: there are none.
 
-    The clock of the right camera stays considered: what it does depends on the motion. It is noise to the others.
+    The clock of the right camera stays considered: what it does depends on the motion. It is noise to the
+    others.
     """
     A, s, B = found.of_prior()
     later = effects.right_later_s

@@ -160,8 +160,8 @@ def depth_maps_of(
 def freed_depth(rig: RectifiedRig, correction: CalibrationEffects, depth: DepthMap) -> DepthMap:
     """A depth map freed of errors of the calibration (c = 1), as the tracks are.
 
-    Each point moves along its ray, and beside it by less than a pixel: the depth at its new place follows from the
-    slope there, by at most the sigma, as depth that jumps has no slope.
+    Each point moves along its ray, and beside it by less than a pixel: the depth at its new place follows
+    from the slope there, by at most the sigma, as depth that jumps has no slope.
     """
     known = np.isfinite(depth.depth_m)
     v, u = np.nonzero(known)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from polhode.backend import align_online_estimate, estimate_motion
+from polhode.backend import align_online_estimate, estimate_motion, with_calibration
 from polhode.backend.between_key_frames import first_states, smooth_between
 from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia

@@ -58,7 +58,7 @@ class StereoTracks:
     """What errors of the calibration do to the measurements; None: it is exact."""
 
     def freed(self, correction: CalibrationEffects, left: CalibrationEffects) -> "StereoTracks":
-        """The measurements freed of errors (c = 1); ``left``: effects of one sigma of what is left of them."""
+        """The measurements freed of errors (c = 1); ``left``: effects of one sigma of what is left."""
         return replace(self, uvd_px=correction.taken_off(self.rig, self.uvd_px), calibration=left)
 
     @property

@@ -142,12 +142,11 @@ def _rotation_errors(found: Rotation, true_states: States, moments: Array) -> tu
     """Errors of angular momentum and spin axis at the last pair, and their NEES."""
     h_N = true_states.R_NP[-1] @ (moments / moments[1] * true_states.w_P[-1])
     size = float(np.linalg.norm(h_N))
-    errors: Metrics = {"momentum_size_percent": 100.0 * (found.momentum_rad_s / size - 1.0)}
-    sigma = found.sigma_momentum_rad_s
-    of_nees: Metrics = {"momentum_size": None if sigma is None else ((found.momentum_rad_s - size) / sigma) ** 2}
-    for name, one, true_N in (
-        ("momentum", found.momentum_N, h_N), ("spin", found.spin_N, true_states.w_N[-1])
-    ):  # fmt: skip
+    off, sigma = found.momentum_rad_s - size, found.sigma_momentum_rad_s
+    errors: Metrics = {"momentum_size_percent": 100.0 * off / size}
+    of_nees: Metrics = {"momentum_size": None if sigma is None else (off / sigma) ** 2}
+    both = {"momentum": (found.momentum_N, h_N), "spin": (found.spin_N, true_states.w_N[-1])}
+    for name, (one, true_N) in both.items():
         unit, true_unit = np.array(one.unit), true_N / max(float(np.linalg.norm(true_N)), 1e-300)
         axes = across(unit)
         error, cov = axes @ (unit - true_unit), axes @ np.array(one.cov, dtype=np.float64) @ axes.T

@@ -336,7 +336,8 @@ def calibration_rows(summary: Summary) -> list[TableRow]:
     rows, degrees = [TableRow("calibration's sigmas", found.source)], float(np.rad2deg(1.0))
     for error in found.estimated:
         changes = ", ".join(f"{name} {change:+.3g}" for name, change in error.parameters.items())
-        words = f"{changes or 'many parameters'}: {error.value:+.2f} ± {error.sigma:.2f} sigmas of the stated one"
+        size = f"{error.value:+.2f} ± {error.sigma:.2f} sigmas of the stated one"
+        words = f"{changes or 'many parameters'}: {size}"
         rows.append(TableRow("calibration, estimated and corrected", words))
     for name, part, unit, scale in (
         ("position", found.position_m, "mm", 1e3),

@@ -204,7 +204,8 @@ class CalibrationError(StrictModel):
     """A combination of errors of the calibration that the data determine, and that was taken off."""
 
     parameters: dict[str, Finite]
-    """Those that mainly belong to it, true minus stated, by name: px, m, rad (``calibration_covariance.npz``)."""
+    """Those that mainly belong to it, true minus stated [px, m, rad], by the names of
+    ``calibration_covariance.npz``; empty: many, none of them mainly."""
     value: Finite
     """In sigmas of the prior."""
     sigma: Finite

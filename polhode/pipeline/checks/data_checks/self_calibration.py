@@ -2,8 +2,8 @@
 
 A wrong focal length stretches everything along the line of sight; a wrong angle between the cameras moves
 near parts less along it than far ones. Neither shows in one pair, but a body that tumbles is stretched in
-another direction in each frame, and no rigid body looks like that. What the residuals say of each, the other left
-as it is, is part of the solution (``backend/uncertainty/self_calibration.py``).
+another direction in each frame, and no rigid body looks like that. What the residuals say of each, the other
+left as it is, is part of the solution (``backend/uncertainty/self_calibration.py``).
 """
 
 import numpy as np
@@ -37,7 +37,7 @@ def focal_check(estimate: MotionEstimate, has_ranges: bool) -> Check:
 
 
 def best_stretches(score: CalibrationScore) -> tuple[Array, Array, Array]:
-    """Focal length (relative) and disparity [px] that fit better, their sigmas, those of the prior; (2,) each."""
+    """Focal length (relative) and disparity [px] that fit better, their sigmas and the prior's; (2,) each."""
     of_own = np.maximum(np.diag(score.information)[:2], 1e-300)
     sigma = np.sqrt(np.diag(score.noise)[:2]) / of_own
     prior = np.linalg.norm(score.information[:2, 2:], axis=1) / of_own
