@@ -62,9 +62,7 @@ def whitened_effects(fit: MotionFit, tracks: StereoTracks) -> Array:
     d, at, effects = fit.data, fit.iterate, tracks.calibration
     if effects is None:
         return np.zeros((len(d.frame), 3, 0))
-    k, arm_N = d.frame, np.einsum("mij,mj->mi", at.R_NG[d.frame], at.p_G[d.landmark])
-    p_N = arm_N + at.p_NG[k]
-    p_R = np.einsum("mij,mj->mi", d.R_RN[k], p_N) + d.t_R[k]
+    k, (arm_N, p_N, p_R) = d.frame, seen_points(fit)
     velocity_R = None
     if effects.right_later_s.any() and d.n_frames > 1:
         w_N = np.einsum("fij,fj->fi", at.R_NG, at.w_G)
@@ -75,6 +73,14 @@ def whitened_effects(fit: MotionFit, tracks: StereoTracks) -> Array:
             np.einsum("mij,mj->mi", d.R_RN[k], v_N) + np.einsum("mij,mj->mi", turning[k], p_N) + moving[k]
         )
     return d.inv_sigma[:, :, None] * effects.at(tracks.rig, p_R, velocity_R)
+
+
+def seen_points(fit: MotionFit) -> tuple[Array, Array, Array]:
+    """Places (M, 3) of the observed points: from the origin of G along N, in N, in R [m]."""
+    d, at = fit.data, fit.iterate
+    arm_N = np.einsum("mij,mj->mi", at.R_NG[d.frame], at.p_G[d.landmark])
+    p_N = arm_N + at.p_NG[d.frame]
+    return arm_N, p_N, np.einsum("mij,mj->mi", d.R_RN[d.frame], p_N) + d.t_R[d.frame]
 
 
 def _times(data: MotionData) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 
 from polhode.backend.problem.motion_data import MotionData
 from polhode.backend.solvers.linearization_point import MotionFit
+from polhode.backend.uncertainty.calibration_response import seen_points
 from polhode.backend.uncertainty.covariance import DependentErrors
 from polhode.geometry.lie import Array
 from polhode.records.calibration_effects import CalibrationEffects
@@ -34,14 +35,10 @@ NAMED = 0.5
 def stretches(fit: MotionFit) -> Array:
     """Effects (M, 3, 2) on the whitened observations: of a focal length that is longer by its own size, and
     of disparities that are a pixel larger."""
-    d, at = fit.data, fit.iterate
-    A = d.R_RN @ at.R_NG
-    p_R = np.einsum("mij,mj->mi", A[d.frame], at.p_G[d.landmark])
-    p_R += np.einsum("mij,mj->mi", d.R_RN[d.frame], at.p_NG[d.frame]) + d.t_R[d.frame]
-    focal_px, baseline_m = d.rig[0], d.rig[3]
+    p_R, (focal_px, _, _, baseline_m, _) = seen_points(fit)[2], fit.data.rig
     longer = focal_px * np.column_stack([p_R[:, :2], np.full(len(p_R), baseline_m)]) / p_R[:, 2:]
     offset = np.broadcast_to(np.array([0.0, 0.0, 1.0]), longer.shape)
-    return np.asarray(d.inv_sigma[:, :, None] * np.stack([longer, offset], axis=2))
+    return np.asarray(fit.data.inv_sigma[:, :, None] * np.stack([longer, offset], axis=2))
 
 
 def unmodelled_errors(

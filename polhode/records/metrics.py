@@ -181,11 +181,6 @@ def nees(errors: Array, covariance: Array) -> float | None:
     return float(np.mean(np.sum(whitened * solved, axis=-1)))
 
 
-def across(unit: Array) -> Array:
-    """(2, 3) two axes across a direction (3,), and across each other."""
-    return np.asarray(np.linalg.svd(unit[None])[2][1:])
-
-
 def coverage(error: Array, covariance: Array) -> float | None:
     """Share of the determined components of errors (..., n) within three standard deviations; None: none is.
 

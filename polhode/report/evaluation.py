@@ -38,7 +38,6 @@ from polhode.records.metrics import (
     IN_INTERVAL,
     NEES,
     States,
-    across,
     angle_deg,
     constant_body_rotation,
     coverage,
@@ -148,11 +147,11 @@ def _rotation_errors(found: Rotation, true_states: States, moments: Array) -> tu
     both = {"momentum": (found.momentum_N, h_N), "spin": (found.spin_N, true_states.w_N[-1])}
     for name, (one, true_N) in both.items():
         unit, true_unit = np.array(one.unit), true_N / max(float(np.linalg.norm(true_N)), 1e-300)
-        axes = across(unit)
-        error, cov = axes @ (unit - true_unit), axes @ np.array(one.cov, dtype=np.float64) @ axes.T
         angle = np.arctan2(np.linalg.norm(np.cross(unit, true_unit)), unit @ true_unit)
-        errors[f"{name}_direction_deg"] = float(np.rad2deg(angle))
-        of_nees[name] = nees(error[None], cov[None])
+        errors[f"{name}_direction_deg"], of_nees[name] = float(np.rad2deg(angle)), None
+        if one.sigma_deg is not None:
+            inverse = np.linalg.pinv(np.array(one.cov, dtype=np.float64), rcond=1e-6, hermitian=True)
+            of_nees[name] = float((unit - true_unit) @ inverse @ (unit - true_unit))
     return errors, of_nees
 
 
