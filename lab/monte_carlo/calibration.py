@@ -14,18 +14,10 @@ of its 95 % band. Coverage: determined components within three sigma, over all f
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from lab.command import ROOT, Record, Seeds, Short, Workers, command
-from lab.monte_carlo.accuracy import MOTIONS, QUANTITIES, good
-from lab.monte_carlo.bound import (
-    COMPONENTS,
-    cold_start,
-    constants_errors,
-    errors_of,
-    normalised_squares,
-    rate_along_N,
-)
+from lab.monte_carlo.accuracy import MOTIONS, QUANTITIES, good, with_band
+from lab.monte_carlo.bound import COMPONENTS, cold_start, constants_errors, errors_of, normalised_squares
 from lab.presentation import print_table
 from lab.record import Case, complete
 from polhode.backend import with_calibration
@@ -34,8 +26,10 @@ from polhode.config.backend_settings import Backend
 from polhode.frontend.calibration_effects import calibration_effects
 from polhode.frontend.rectification import make_rectifier
 from polhode.geometry.lie import Array, inverse_pose, make_pose, transform_points
+from polhode.geometry.rigid_body import best_half_turn
 from polhode.records.calibration_prior import default_prior
 from polhode.records.estimate import MotionEstimate
+from polhode.records.metrics import States, coverage, state_scores
 from polhode.records.rig_calibration import StereoCalibration
 from polhode.runtime.errors import RunFailure
 from polhode.runtime.progress import Silent
@@ -48,10 +42,15 @@ CONDITIONS = {"exact": 0.4, **dict.fromkeys(DRAWN, 0.5), "focal length 0.3 % too
 """With the share of the seeds"""
 SCENES = {**MOTIONS, **{f"random body {n}": random_scene(n) for n in range(4)}}
 PARTS = ("considered", "estimated")
-RECORD = ROOT / "runs/records/calibration"
+COVERED = ("position", "velocity", "attitude", "angular_velocity", "k", "axes", "com")
 
 
-def main(seeds: Seeds = 10, workers: Workers = 2, short: Short = False, record: Record = RECORD) -> None:
+def main(
+    seeds: Seeds = 10,
+    workers: Workers = 2,
+    short: Short = False,
+    record: Record = ROOT / "runs/records/calibration",
+) -> None:
     """Measure what the record lacks, print the tables."""
     cases: list[Case] = [
         {"condition": condition, "motion": motion, "seed": seed}
@@ -62,28 +61,21 @@ def main(seeds: Seeds = 10, workers: Workers = 2, short: Short = False, record: 
     lines = good(complete(record, cases, measure, workers))
     groups = {name: [line for line in lines if line["case"]["condition"] == name] for name in CONDITIONS}
     groups["all drawn"] = [line for name in DRAWN for line in groups[name]]
-    nees, covered = [], []
-    for name, of in groups.items():
-        for part in PARTS[: 1 if name == "exact" else None]:
-            squares = np.array([line[part]["nees"] for line in of], dtype=np.float64)
-            number = COMPONENTS * np.isfinite(squares).sum(axis=0)
-            bands = (np.nansum(squares, axis=0) / number, *(chi2.ppf([[0.025], [0.975]], number) / number))
-            nees.append([name, part, len(of), *map(_with_band, *bands)])
-            inside, total = np.sum([line[part]["inside"] for line in of], axis=0)
-            taken = sum(part == "estimated" and bool(line["errors"]) for line in of)
-            along = np.sqrt(np.mean(np.square([line[part]["along_mm"] for line in of])))
-            covered.append([name, part, taken, f"{along:.3g}", *(f"{x:.2%}" for x in inside / total)])
+    rows = [(name, part) for name in groups for part in PARTS[: 1 if name == "exact" else None]]
+    consistent, covered = [], []
+    for name, part in rows:
+        of = [line[part] for line in groups[name]]
+        consistent.append([name, part, len(of), *with_band(of)])
+        shares = np.array([[each["covered"][n] for n in COVERED] for each in of], dtype=np.float64)
+        along = np.sqrt(np.mean([each["along_mm"] ** 2 for each in of]))
+        taken = sum(bool(line["errors"]) for line in groups[name]) if part == "estimated" else 0
+        covered.append([name, part, taken, f"{along:.3g}", *(f"{x:.2%}" for x in np.nanmean(shares, axis=0))])
     print("\nNEES of the last frame over its expectation (95 % band)\n")
-    print_table(("calibration", "its errors", "runs", *QUANTITIES), nees)
+    print_table(("calibration", "its errors", "runs", *QUANTITIES), consistent)
     print("\nWithin three sigma; runs of which errors were taken off, position along the line of sight\n")
-    names = "r", "v", "attitude", "w", "k", "axes", "com"
-    print_table(("calibration", "its errors", "taken off", "RMSE along [mm]", *names), covered)
+    print_table(("calibration", "its errors", "taken off", "RMSE along [mm]", *COVERED), covered)
     if found := [error for line in lines for error in line["errors"]]:
         print(f"\n{len(found)} errors estimated, off by {np.sqrt(np.mean(np.square(found))):.2f} sigma (rms)")
-
-
-def _with_band(mean: float, low: float, high: float) -> str:
-    return f"{mean:.2f}{'' if low <= mean <= high else '*'} ({low:.2f}-{high:.2f})"
 
 
 def measure(case: Case) -> Case:
@@ -91,52 +83,46 @@ def measure(case: Case) -> Case:
     condition, number = case["condition"], list(SCENES).index(case["motion"])
     # other sequences in each condition
     seed = 100 * list(CONDITIONS).index(condition) + case["seed"]
-    scene = replace(
-        SCENES[case["motion"]], frames=60, landmarks=900, detection=0.2, min_inliers=8,
-        sigma_uv_px=NOISE_PX, sigma_d_px=NOISE_PX, accel_psd=PSD, torque_psd=PSD,
-    )  # fmt: skip
+    level = {"accel_psd": PSD, "torque_psd": PSD}
+    scene = replace(SCENES[case["motion"]], frames=60, landmarks=900, detection=0.2, min_inliers=8, **level)
+    scene = replace(scene, sigma_uv_px=NOISE_PX, sigma_d_px=NOISE_PX)
     sequence, z = generate(scene, 1000 * number + seed), np.zeros(0)
     if condition != "exact":
         sequence, z = with_errors(sequence, condition, [seed, number, 23])
-    config = Backend(
-        solver="gauss_newton", process_noise="given", accel_psd=PSD, torque_psd=PSD,
-        systematic_px=(0.0, 0.0, 0.0), light_px=0.0,
-    )  # fmt: skip
+    none = {"systematic_px": (0.0, 0.0, 0.0), "light_px": 0.0}
+    config = Backend(solver="gauss_newton", process_noise="given", **level, **none)
     try:
         considered = cold_start(sequence, config)[1]
         tracks, estimated = with_calibration(sequence.tracks, considered, config, Silent())
     except RunFailure as failure:
         return {"failure": str(failure)}
-    line: Case = {
-        part: scores(sequence, found, config)
-        for part, found in zip(PARTS, (considered, estimated), strict=True)
-    }
-    part, errors = estimated.calibration, []
+    line: Case = {"considered": scores(sequence, considered, config), "errors": []}
+    line["estimated"] = scores(sequence, estimated, config)
+    part = estimated.calibration
     if part is not None and part.correction is not None and tracks.calibration is not None:
         # in units of the prior's sigmas, then of those that are left
         to_unit = np.linalg.pinv(sequence.tracks.calibration.factor)
         left, found = to_unit @ tracks.calibration.factor, to_unit @ part.correction.factor[:, 0]
         own = np.linalg.norm(left, axis=0) < MAX_SHARE
-        errors = (np.linalg.pinv(left) @ (z - found))[own].tolist()
-    return line | {"errors": errors}
+        line["errors"] = (np.linalg.pinv(left) @ (z - found))[own].tolist()
+    return line
 
 
 def with_errors(
     sequence: SyntheticSequence, condition: str, seed: list[int]
 ) -> tuple[SyntheticSequence, Array]:
     """The sequence as measured with a wrong calibration, and its errors (c,) in sigmas."""
-    X_BC1 = make_pose(np.eye(3), np.array([RIG.baseline_m, 0.0, 0.0]))
-    none = np.zeros(4)
+    X_BC1, none = make_pose(np.eye(3), np.array([RIG.baseline_m, 0.0, 0.0])), np.zeros(4)
     stated = StereoCalibration(RIG.K, RIG.K, none, none, np.eye(4), X_BC1, RIG.width_px, RIG.height_px)
     prior = default_prior(stated)
-    is_focal = np.array([name.endswith((".fu", ".fv")) for name in prior.names], dtype=np.float64)
-    focal = (0.0 if condition in DRAWN else 2e-3) * RIG.focal_px * is_focal
+    focal = np.array([2e-3 * RIG.focal_px * name.endswith((".fu", ".fv")) for name in prior.names])
+    focal *= condition not in DRAWN
     covariance = DRAWN.get(condition, 1.0) ** 2 * prior.covariance + np.outer(focal, focal)
     stated = replace(stated, prior=replace(prior, covariance=covariance))
     effects, tracks = calibration_effects(stated, make_rectifier(stated), poses_stated=False), sequence.tracks
     assert effects is not None
     z = np.random.default_rng(seed).normal(size=effects.factor.shape[1])
-    if condition not in DRAWN:
+    if focal.any():
         z = np.linalg.lstsq(effects.factor, -1.5 * focal)[0]
     X_RG = inverse_pose(sequence.X_NR) @ sequence.X_NG
     p_R = transform_points(X_RG[tracks.frame], sequence.p_G[tracks.landmark][:, None])[:, 0]
@@ -145,33 +131,26 @@ def with_errors(
 
 
 def scores(sequence: SyntheticSequence, found: MotionEstimate, config: Backend) -> Case:
-    """NEES of the last frame and the constants; components within three sigma, and how many there are."""
+    """NEES of the last frame and the constants; shares of the components within three sigma."""
     errors, mass, last = errors_of(found, sequence, config), found.mass, slice(-1, None)
     end = replace(found, R_NP=found.R_NP[last], w_P=found.w_P[last], covariance=found.covariance[last])
-    nees = normalised_squares(replace(errors, states=errors.states[last]), end)
-    T = rate_along_N(found.R_NP, found.w_P)
-    known = np.isfinite(np.diagonal(found.covariance, axis1=1, axis2=2))
-    finite = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
-    sigma = np.sqrt(np.diagonal(T @ finite @ np.swapaxes(T, 1, 2), axis1=1, axis2=2))
-    # the rate along N mixes its components in P
-    known[:, 9:] = known[:, 6:].all(axis=1, keepdims=True)
-    pairs = [
-        (errors.states[:, n : n + 3], np.where(known, sigma, np.inf)[:, n : n + 3]) for n in (0, 3, 6, 9)
-    ]
+    ours, truth = (
+        States(each.timestamps_ns, each.r_N, each.v_N, each.R_NP, each.w_P)
+        for each in (found, sequence.truth)
+    )
+    of_states = state_scores(ours, truth, found.covariance, best_half_turn(ours.R_NP, truth.R_NP))[1]
     axes = constants_errors(found, sequence)[5:]
-    pairs += [
-        (error, np.sqrt(np.diag(covariance)))
-        for error, covariance in (
-            (errors.ratios, mass.cov_k),
-            (axes, mass.cov_R_GP),
-            (errors.com_G, mass.cov_com_G),
-        )
-    ]
-    inside = [
-        [int(np.sum((np.abs(error) < 3.0 * each)[np.isfinite(each)])) for error, each in pairs],
-        [int(np.isfinite(each).sum()) for _, each in pairs],
-    ]
-    return {"nees": nees.tolist(), "inside": inside, "along_mm": float(1e3 * errors.states[-1, 2])}
+    constants = {
+        "k": (errors.ratios, mass.cov_k),
+        "axes": (axes, mass.cov_R_GP),
+        "com": (errors.com_G, mass.cov_com_G),
+    }
+    return {
+        "nees": normalised_squares(replace(errors, states=errors.states[last]), end).tolist(),
+        "freedom": COMPONENTS.tolist(),
+        "covered": of_states | {name: coverage(*pair) for name, pair in constants.items()},
+        "along_mm": float(1e3 * errors.states[-1, 2]),
+    }
 
 
 if __name__ == "__main__":

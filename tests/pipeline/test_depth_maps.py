@@ -83,13 +83,12 @@ def test_a_plane_seen_by_a_wrong_calibration_is_where_it_is(longer: float, shift
         return 1.0 / (1.0 - 0.5 * x + 0.2 * y)
 
     # the disparities that the true cameras give, read with the stated ones
-    measured = rig.focal_px * rig.baseline_m / (true.focal_px * true.baseline_m / plane(true))
     known = np.zeros(SIZE, dtype=np.bool_)
     known[10:80, 10:110] = True
-    depth_m = np.where(known, measured, np.nan).astype(np.float32)
-    depth = DepthMap(
-        depth_m, np.where(known, 1e-2, np.nan).astype(np.float32), np.zeros(SIZE, np.uint8), known
+    depth_m, sigma_m = (
+        np.where(known, each, np.nan).astype(np.float32) for each in (plane(true) / (1.0 + longer), 1e-2)
     )
+    depth = DepthMap(depth_m, sigma_m, np.zeros(SIZE, np.uint8), known)
     # both lenses alike: of the place in the image, to which disparities add nothing
     places = np.random.default_rng(0).uniform([0.0, 0.0], [SIZE[1] - 1.0, SIZE[0] - 1.0], (400, 2))
     moved = longer * (places - [rig.cx_px, rig.cy_px]) + [shift_px, 0.0]

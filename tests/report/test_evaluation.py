@@ -162,10 +162,8 @@ def test_errors_of_momentum_and_spin_are_angles_and_a_share_with_their_nees(
     expected = np.rad2deg(2.0 * np.arcsin(np.sin(0.01) * np.sqrt(1.0 - h_N[1] ** 2)))
     assert metrics["rotation"]["momentum_direction_deg"] == pytest.approx(expected, rel=1e-6)
     assert metrics["rotation"]["momentum_size_percent"] == pytest.approx(1.0, rel=1e-6)
-    size = rotation.momentum_rad_s
-    assert metrics["nees"]["momentum_size"] == pytest.approx(
-        ((size - size / 1.01) / rotation.sigma_momentum_rad_s) ** 2, rel=1e-6
-    )
-    off = turn.T @ h_N - h_N
-    by_inverse = off @ np.linalg.pinv(np.array(rotation.momentum_N.cov)) @ off
+    off = 0.01 / 1.01 * rotation.momentum_rad_s / rotation.sigma_momentum_rad_s
+    assert metrics["nees"]["momentum_size"] == pytest.approx(off**2, rel=1e-6)
+    across = turn.T @ h_N - h_N
+    by_inverse = across @ np.linalg.pinv(np.array(rotation.momentum_N.cov)) @ across
     assert metrics["nees"]["momentum"] == pytest.approx(by_inverse, rel=1e-3)
