@@ -145,9 +145,11 @@ def scores(sequence: SyntheticSequence, found: MotionEstimate, config: Backend) 
         "axes": (axes, mass.cov_R_GP),
         "com": (errors.com_G, mass.cov_com_G),
     }
+    squares = normalised_squares(replace(errors, states=errors.states[last]), end)
+    known = np.isfinite(squares)
     return {
-        "nees": normalised_squares(replace(errors, states=errors.states[last]), end).tolist(),
-        "freedom": COMPONENTS.tolist(),
+        "nees": np.where(known, squares, 0.0).tolist(),
+        "freedom": (COMPONENTS * known).tolist(),
         "covered": of_states | {name: coverage(*pair) for name, pair in constants.items()},
         "along_mm": float(1e3 * errors.states[-1, 2]),
     }

@@ -131,7 +131,7 @@ def test_errors_of_the_calibration_count_as_in_the_batch_of_all_frames() -> None
     guess = FrameGuess(sequence.X_NG, truth.v_N, w_G)
     found = smooth_between(tracks, keys, of_keys, guess, given)[1]
     assert whole.calibration is not None and found.calibration is not None
-    ours, theirs = (np.diag(each.calibration.last_joint)[:12] for each in (found, whole))
+    ours, theirs = (np.diag(part.last_joint)[:12] for part in (found.calibration, whole.calibration))
     np.testing.assert_allclose(ours[:3], theirs[:3], rtol=0.15)
     assert theirs[2] > 0.1 * whole.covariance[-1][2, 2]
     # of velocity, attitude and rate the images' part is the larger one by far

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array
 from polhode.pipeline.depth_maps import MARGIN_PX, DepthMaps, PackedDepth, freed_depth
 from polhode.records.calibration_effects import CalibrationEffects, terms_at
 from polhode.records.surface import DepthMap
@@ -92,7 +93,7 @@ def test_a_plane_seen_by_a_wrong_calibration_is_where_it_is(longer: float, shift
     # both lenses alike: of the place in the image, to which disparities add nothing
     places = np.random.default_rng(0).uniform([0.0, 0.0], [SIZE[1] - 1.0, SIZE[0] - 1.0], (400, 2))
     moved = longer * (places - [rig.cx_px, rig.cy_px]) + [shift_px, 0.0]
-    terms = np.linalg.lstsq(terms_at(places, rig), moved)[0][:, :, None]
+    terms: Array = np.linalg.lstsq(terms_at(places, rig), moved)[0][:, :, None].astype(np.float64)
     none = np.zeros((3, 1))
     correction = CalibrationEffects("test", terms, terms, none, none, np.zeros(1), none, none)
     found = freed_depth(rig, correction, depth).depth_m
