@@ -298,21 +298,22 @@ def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
     """Covariances (F, 6, 6) of X_NG, shift [m] and turn [rad] along G's axes: X_NG (Exp(turn) p_G + shift).
 
     A shift that all poses share moves the frame G and is not an error of the poses: it is removed, with the
-    same weight for each frame.
+    same weight for each frame. So are errors of the calibration, which the depth that is put there shares.
     """
+    dense = m.dense - m.by_calibration @ m.by_calibration.T
     n, s = iterate.n_frames, iterate.n_state
     turned = np.zeros((n, 6, 6))
     turned[:, POSITION, POSITION], turned[:, ROTATION, ROTATION] = np.swapaxes(iterate.R_NG, 1, 2), np.eye(3)
-    to_mean = np.zeros((len(m.dense), 6))
+    to_mean = np.zeros((len(dense), 6))
     for k, T in enumerate(turned):
         to_mean[s * k : s * k + 6] = T.T / n
-    against_mean = m.dense @ to_mean
+    against_mean = dense @ to_mean
     mean = to_mean.T @ against_mean
     out = np.empty((n, 6, 6))
     for k, T in enumerate(turned):
         at = slice(s * k, s * k + 6)
         shared = T @ against_mean[at]
-        out[k] = T @ m.dense[at, at] @ T.T - shared - shared.T + mean
+        out[k] = T @ dense[at, at] @ T.T - shared - shared.T + mean
     return out
 
 

@@ -300,7 +300,8 @@ class MotionEstimate:
     Always finite: independent of the principal axes; a weak prior bounds what is undetermined."""
     covariance_X_NG: Array | None = None
     """(F, 6, 6) of X_NG, translation t [m] and rotation a [rad] along the axes of G:
-    p_N = X_NG (Exp(a) p_G + t). Without errors common to all poses, so always finite. None: unknown"""
+    p_N = X_NG (Exp(a) p_G + t). Without errors common to all poses, and those of the calibration, which depth
+    shares, so always finite. None: unknown"""
     covariance_of_marks: Array | None = None
     """(F, 12, 12) in the order r (N), v (N), theta (P), w (P), of the body itself: the estimated centre of
     mass and axes are exact marks on it, so it is finite also where they are undetermined. The marks are where

@@ -107,9 +107,15 @@ def test_a_wrong_calibration_that_the_data_determine_is_found_and_taken_off() ->
     assert 0.6 < np.mean(squares) < 1.5
 
 
-def test_nothing_changes_where_the_data_determine_nothing() -> None:
+def test_nothing_changes_where_the_data_determine_nothing_and_poses_of_depth_are_without_it() -> None:
     sequence = calibrated(generate(replace(SCENE, frames=12, sigma_uv_px=1.0, sigma_d_px=1.0), 2))
     estimate = estimated(sequence, NONE_SHARED)
     tracks, found = with_calibration(sequence.tracks, estimate, NONE_SHARED, Silent())
     assert tracks is sequence.tracks and found is estimate
     assert found.calibration is not None and not found.calibration.estimated
+    # poses for the depth that is put there, which has the same errors: as with an exact calibration
+    exact = estimated(replace(sequence, tracks=replace(sequence.tracks, calibration=None)), NONE_SHARED)
+    assert found.covariance_X_NG is not None and exact.covariance_X_NG is not None
+    size = np.abs(exact.covariance_X_NG).max()
+    np.testing.assert_allclose(found.covariance_X_NG, exact.covariance_X_NG, atol=1e-9 * size)
+    assert np.trace(found.covariance[-1][:3, :3]) > np.trace(exact.covariance[-1][:3, :3])
