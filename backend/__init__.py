@@ -13,7 +13,7 @@
 - ``problem``: measurements and unknowns.
 """
 
-from polhode.backend.estimate import estimate_motion
+from polhode.backend.estimate import estimate_motion, with_calibration
 from polhode.backend.initialization.hypotheses import contrast_of_links, links_of_the_body, rotation_errors
 from polhode.backend.initialization.initialize import consistent_links, initialize_motion
 from polhode.backend.window.estimator import align_online_estimate, estimate_online, window_warnings
@@ -28,4 +28,5 @@ __all__ = [
     "links_of_the_body",
     "rotation_errors",
     "window_warnings",
+    "with_calibration",
 ]

@@ -289,6 +289,8 @@ class _Chain:
         joint[:, s:, s:] = constants
         joint += self._map_errors(system, response)
         by_calibration = self._calibration_errors(at, tracks, system, response)
+        # the depth that is put there has the same errors of the calibration
+        of_poses = joint[:, POSE, POSE].copy()
         joint += by_calibration @ np.swapaxes(by_calibration, 1, 2)
         derivative = axes_derivative(self.data.form, at)
         turn = nearest_half_turn(derivative.R_GP, of_keys.mass.R_GP)
@@ -312,7 +314,7 @@ class _Chain:
         to_G = np.zeros((n, N_POSE, N_POSE))
         to_G[:, POSITION, POSITION] = np.swapaxes(at.R_NG, 1, 2)
         to_G[:, ROTATION, ROTATION] = np.eye(3)
-        pose = to_G @ joint[:, POSE, POSE] @ np.swapaxes(to_G, 1, 2)
+        pose = to_G @ of_poses @ np.swapaxes(to_G, 1, 2)
         r = self.residuals(at)
         squared = np.sum(r**2, axis=1)
         weight = np.where(squared < STEREO_GATE**2, robust_weight(squared, self.data.robust_scale), 0.0)

@@ -24,6 +24,7 @@ from polhode.backend.initialization.rates import FAST_HINT, frame_rates
 from polhode.backend.outliers_and_noise.noise_and_outliers import PrunedFit, remove_outliers
 from polhode.backend.outliers_and_noise.process_level import estimate_process_noise, with_level
 from polhode.backend.outliers_and_noise.systematic import SharedErrors, with_systematic
+from polhode.backend.problem.inertia import second_moments_from_inertia
 from polhode.backend.problem.motion_data import MotionData, motion_data
 from polhode.backend.result import FAR_TURNS, assemble
 from polhode.backend.solvers.linearization_point import MotionFit
@@ -36,6 +37,7 @@ from polhode.backend.uncertainty.ambiguity import (
     revolution_off,
     with_ambiguous_rotation,
 )
+from polhode.backend.uncertainty.self_calibration import determined_errors
 from polhode.backend.wrenches.known_wrench import fit_known_wrench
 from polhode.backend.wrenches.unknown_wrench import find_disturbed_steps
 from polhode.config.backend_settings import Backend
@@ -179,7 +181,7 @@ def _hypothesis(
             pruned = _with_level(pruned)
         ended = solve(pruned.small, config.model_copy(update={"solver": "gauss_newton"}))
         whole = pruned.with_solution(ended.iterate)
-        found_motion = assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
+        found_motion = assemble(tracks, whole, initial, config)
     except (RunFailure, LinAlgError):
         return None
     return with_systematic(found_motion, tracks, SharedErrors(config.systematic_px))
@@ -250,6 +252,42 @@ def estimate_motion(
         ) from error
 
 
+def with_calibration(
+    tracks: StereoTracks, estimate: MotionEstimate, config: Backend, progress: Progress
+) -> tuple[StereoTracks, MotionEstimate]:
+    """Measurements freed of the calibration's errors that they determine, and the estimate from these.
+
+    The same ones where nothing is determined, or more than one rotation is left open. The estimate's
+    covariances have what is left of the errors; effects of the tracks are of one sigma of that.
+    """
+    effects, part, score = tracks.calibration, estimate.calibration, estimate.calibration_score
+    if effects is None or part is None or score is None or estimate.hypotheses:
+        return tracks, estimate
+    determined = determined_errors(score, effects)
+    if determined is None:
+        return tracks, estimate
+    correction = effects.mixed(determined.mean[:, None])
+    freed = tracks.freed(correction, effects.mixed(determined.factor))
+    mass = estimate.mass
+    w_G = estimate.w_P @ mass.R_GP.T
+    known = KnownMotion(estimate.v_N, w_G, mass.com_G, second_moments_from_inertia(mass.J_G))
+    seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
+    initial = InitialMotion(inverse_pose(tracks.X_NR) @ estimate.X_NG, seen)
+    try:
+        found = estimate_motion(freed, initial, config, progress, known)
+    except RunFailure:
+        return tracks, estimate
+    assert found.calibration is not None
+    far = [warning for warning in estimate.warnings if FAR_TURNS in warning]
+    return freed, replace(
+        found,
+        warnings=(*found.warnings, *far),
+        solver=replace(found.solver, runner_up=estimate.solver.runner_up),
+        calibration=replace(found.calibration, estimated=determined.errors, correction=correction),
+        calibration_score=score,
+    )
+
+
 def _estimate(
     tracks: StereoTracks,
     initial: InitialMotion,
@@ -264,7 +302,7 @@ def _estimate(
         solution = ended.solution
         advance()
         whole = found.pruned.with_solution(ended.iterate)
-        estimate = assemble(tracks, whole, initial, config.correlated_errors, config.light_px)
+        estimate = assemble(tracks, whole, initial, config)
         advance()
     trials, best = found.trials, found.choice[0].name
     assert best is not None

@@ -17,7 +17,7 @@ from polhode.backend.outliers_and_noise.systematic import common_slide
 from polhode.backend.problem.iterate import COM, ERR_THETA, ERR_W, N_CONSTANTS, POSE, XI
 from polhode.backend.solvers.gauss_newton import GaussNewton
 from polhode.backend.solvers.linearization_point import MotionFit
-from polhode.backend.solvers.robust_kernel import robust_information, robust_weight
+from polhode.backend.solvers.robust_kernel import robust_information, robust_weight, score_gain
 from polhode.backend.uncertainty.calibration_response import whitened_effects
 from polhode.backend.uncertainty.covariance import (
     DependentErrors,
@@ -45,9 +45,10 @@ from polhode.backend.uncertainty.principal_axes import (
     nonlinear_turns,
     ratio_covariance,
 )
+from polhode.backend.uncertainty.self_calibration import score_of, stretches, unmodelled_errors
 from polhode.backend.wrenches.known_wrench import with_absolute_scale
 from polhode.backend.wrenches.unknown_wrench import describe_impulse, estimate_impulses
-from polhode.config.backend_settings import CorrelatedErrors
+from polhode.config.backend_settings import Backend, CorrelatedErrors
 from polhode.geometry.lie import Array, Bools, make_pose
 from polhode.records.estimate import (
     CalibrationPart,
@@ -66,15 +67,11 @@ FAR_TURNS = "between frames: near half a revolution and beyond"
 
 
 def assemble(
-    tracks: StereoTracks,
-    found: PrunedFit,
-    initial: InitialMotion,
-    correlated_errors: CorrelatedErrors,
-    light_px: float,
+    tracks: StereoTracks, found: PrunedFit, initial: InitialMotion, config: Backend
 ) -> MotionEstimate:
     """The estimate at a solution, for all observations, with covariances of the pruned problem.
 
-    correlated_errors, light_px: as in the configuration. Errors that all landmarks share (slide) are left out
+    Of config the errors that observations have in common. Those that all landmarks share (slide) are left out
     where parts are compared, which share them.
     """
     data, kept, iterate, small = found.data, found.kept, found.iterate, found.small
@@ -82,8 +79,14 @@ def assemble(
     squares = np.sum(residuals**2, axis=1)
     weight = np.where(kept.observations, robust_weight(squares, data.robust_scale), 0.0)
     s = np.sum(residuals[kept.observations] ** 2, axis=1)
-    correlated, errors = _dependent_errors(small, correlated_errors, light_px)
-    m = marginals(small, robust_information(s, data.robust_scale), errors, whitened_effects(small, tracks))
+    correlated, errors = _dependent_errors(small, config.correlated_errors, config.light_px)
+    information, effects = robust_information(s, data.robust_scale), whitened_effects(small, tracks)
+    longer = stretches(small)
+    m = marginals(small, information, errors, effects, longer)
+    pull = score_gain(s, data.robust_scale) * (weight[:, None] * residuals)[kept.observations]
+    unmodelled = unmodelled_errors(small.data, longer, config.systematic_px, config.light_px)
+    all_effects = np.concatenate([longer, effects], axis=2), m.refitted
+    score = score_of(small, pull, information, all_effects, errors, unmodelled)
     derivative = axes_derivative(data.form, iterate)
     R_GP = derivative.R_GP
     w_P = iterate.w_G @ R_GP
@@ -134,6 +137,7 @@ def assemble(
         warnings=tuple(warnings),
         disturbances=disturbances,
         calibration=_calibration_part(tracks, small, m, derivative),
+        calibration_score=score,
     )
 
 

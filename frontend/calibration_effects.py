@@ -55,6 +55,8 @@ def calibration_effects(
         body_shift_m=of_body[0],
         body_turn_rad=of_body[1],
         has_ranges=has_ranges,
+        names=prior.names,
+        factor=prior.factor,
     )
 
 

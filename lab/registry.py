@@ -134,6 +134,8 @@ BENCHMARKS = (
               short="--short --workers 1 --record runs/short/records/convergence"),
     Benchmark("rotations", "monte_carlo.rotations", "docs/backend.md", 10,
               short="--short --workers 1 --record runs/short/records/rotations"),
+    Benchmark("calibration_errors", "monte_carlo.calibration", "docs/backend.md", 12,
+              short="--short --workers 1 --record runs/short/records/calibration"),
     Benchmark("accuracy_estimated", "monte_carlo.accuracy", "docs/accuracy.md", 30,
               "--motions 6 --seeds 20 --estimated", None),
     Benchmark("accuracy", "monte_carlo.accuracy", "docs/accuracy.md", 120, "--motions 6",

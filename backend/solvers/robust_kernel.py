@@ -31,11 +31,22 @@ def efficiency(s: Array, scale: float) -> float:
     three whitened components. Equals 1 for a wide kernel and Gaussian noise. The fit has reduced the
     residuals: they are scaled to the noise level, which is known.
     """
+    slope, spread = _slope_and_spread(s, scale)
+    return slope**2 / spread
+
+
+def score_gain(s: Array, scale: float) -> float:
+    """Factor a / b of the kernel's gradient: its slope and its variance are then the ``efficiency``."""
+    slope, spread = _slope_and_spread(s, scale)
+    return slope / spread
+
+
+def _slope_and_spread(s: Array, scale: float) -> tuple[float, float]:
     s = s * (3.0 / max(float(np.mean(s)), 1e-12))
     w = 1.0 / (1.0 + s / scale**2)
     slope = np.mean(w - (2.0 / 3.0) * s * w**2 / scale**2)
     spread = np.mean(w**2 * s) / 3.0
-    return max(float(slope), 0.1) ** 2 / max(float(spread), 1e-12)
+    return max(float(slope), 0.1), max(float(spread), 1e-12)
 
 
 def robust_cost(s: Array, scale: float) -> float:

@@ -44,6 +44,11 @@ class LinearObservations:
         np.add.at(pull, self.landmark, weighted @ effect)
         return np.asarray(-C_inv @ pull)
 
+    def refitted(self, poses: Array, moved: Array) -> Array:
+        """What is left (M, 3, c) of the effects, poses moved by (F, 6, c) and landmarks by (L, 3, c)."""
+        at_poses = self.to_pose @ poses[self.frame]
+        return np.asarray(self.effect + at_poses + self.to_landmark @ moved[self.landmark])
+
     def gradient(self, moved: Array, n_frames: int) -> Array:
         """Gradient (F, 6, c) in the poses, the landmarks moved by (L, 3, c)."""
         effect = self.effect + self.to_landmark @ moved[self.landmark]
@@ -57,9 +62,7 @@ def whitened_effects(fit: MotionFit, tracks: StereoTracks) -> Array:
     d, at, effects = fit.data, fit.iterate, tracks.calibration
     if effects is None:
         return np.zeros((len(d.frame), 3, 0))
-    k, arm_N = d.frame, np.einsum("mij,mj->mi", at.R_NG[d.frame], at.p_G[d.landmark])
-    p_N = arm_N + at.p_NG[k]
-    p_R = np.einsum("mij,mj->mi", d.R_RN[k], p_N) + d.t_R[k]
+    k, (arm_N, p_N, p_R) = d.frame, seen_points(fit)
     velocity_R = None
     if effects.right_later_s.any() and d.n_frames > 1:
         w_N = np.einsum("fij,fj->fi", at.R_NG, at.w_G)
@@ -70,6 +73,14 @@ def whitened_effects(fit: MotionFit, tracks: StereoTracks) -> Array:
             np.einsum("mij,mj->mi", d.R_RN[k], v_N) + np.einsum("mij,mj->mi", turning[k], p_N) + moving[k]
         )
     return d.inv_sigma[:, :, None] * effects.at(tracks.rig, p_R, velocity_R)
+
+
+def seen_points(fit: MotionFit) -> tuple[Array, Array, Array]:
+    """Places (M, 3) of the observed points: from the origin of G along N, in N, in R [m]."""
+    d, at = fit.data, fit.iterate
+    arm_N = np.einsum("mij,mj->mi", at.R_NG[d.frame], at.p_G[d.landmark])
+    p_N = arm_N + at.p_NG[d.frame]
+    return arm_N, p_N, np.einsum("mij,mj->mi", d.R_RN[d.frame], p_N) + d.t_R[d.frame]
 
 
 def _times(data: MotionData) -> Array:

@@ -10,7 +10,7 @@ not the covariance of the solution, which takes them as independent: with S the 
 is inv(H) S inv(H) (the "sandwich": Huber 1967; White, Econometrica 48, 1980).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -71,16 +71,22 @@ class Marginals:
     by_calibration: Array
     """(s F + 8, c) change of states and constants by one sigma of each of c errors of the calibration, whose
     covariance ``dense`` and ``landmarks`` contain"""
+    refitted: Array = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    """(M, 3, p + c) what the fit leaves of the effects of probes, and of these errors"""
 
 
 def marginals(
-    fit: MotionFit, weight: Array, errors: DependentErrors | None = None, calibration: Array | None = None
+    fit: MotionFit,
+    weight: Array,
+    errors: DependentErrors | None = None,
+    calibration: Array | None = None,
+    probes: Array | None = None,
 ) -> Marginals:
     """Invert the information at a solution; weight (M,) is the information contributed by each observation.
 
     ``errors``, and the effects ``calibration`` (M, 3, c) of one sigma of errors of the calibration on the
     whitened observations: the solution does not know of them, its covariance does. What the motion determines
-    is judged without the calibration.
+    is judged without the calibration. ``probes`` (M, 3, p): effects of which what the fit leaves is sought.
     """
     solver, fixed, x = GaussNewton(fit.data), fit.linearized(), fit.iterate.vector()
     bare = solver.normal_equations(fixed, x, weight, prior=False)
@@ -118,25 +124,30 @@ def marginals(
         excess_of_constants = response.T @ excess @ response
         information = _discounted(information, excess_of_constants, prior)
     marks = landmark_covariances(dense, d.frame, d.start, bare.E, C_inv, own, bare.n_state)
-    moved = np.zeros((n, 0))
+    moved, left = np.zeros((n, 0)), [np.zeros((len(d.frame), 3, 0))]
+    if probes is not None:
+        left.append(_moved_by_calibration(fit, weight, probes, of_states, C_inv)[2])
     if calibration is not None and calibration.shape[2]:
-        moved, of_marks = _moved_by_calibration(fit, weight, calibration, of_states, C_inv)
+        moved, of_marks, own_left = _moved_by_calibration(fit, weight, calibration, of_states, C_inv)
         dense, marks = dense + moved @ moved.T, marks + of_marks @ np.swapaxes(of_marks, 1, 2)
-    return _marginals_of_constants(dense, marks, information, prior, response, moved)
+        left.append(own_left)
+    found = _marginals_of_constants(dense, marks, information, prior, response, moved)
+    return replace(found, refitted=np.concatenate(left, axis=2))
 
 
 def _moved_by_calibration(
     fit: MotionFit, weight: Array, effect: Array, to_all: Array, C_inv: Array
-) -> tuple[Array, Array]:
-    """Changes (n, c) of states and constants, (L, 3, c) of landmarks; to_all (n, s F): inverse
-    information."""
+) -> tuple[Array, Array, Array]:
+    """Changes (n, c) of states and constants, (L, 3, c) of landmarks, and what is left (M, 3, c) of the
+    effects; to_all (n, s F): inverse information."""
     d, at = fit.data, fit.iterate
     seen = LinearObservations(*observation_jacobians(fit), weight, effect, d.frame, d.landmark)
     gradient = np.zeros((at.n_frames, at.n_state, effect.shape[2]))
     gradient[:, POSE] = seen.gradient(seen.landmark_moves(C_inv), at.n_frames)
     moved = -to_all @ gradient.reshape(at.n_states, -1)
     poses = moved[: at.n_states].reshape(at.n_frames, at.n_state, -1)[:, POSE]
-    return moved, seen.landmark_moves(C_inv, poses)
+    marks = seen.landmark_moves(C_inv, poses)
+    return moved, marks, seen.refitted(poses, marks)
 
 
 def _excess(
@@ -287,21 +298,22 @@ def pose_covariances(iterate: Iterate, m: Marginals) -> Array:
     """Covariances (F, 6, 6) of X_NG, shift [m] and turn [rad] along G's axes: X_NG (Exp(turn) p_G + shift).
 
     A shift that all poses share moves the frame G and is not an error of the poses: it is removed, with the
-    same weight for each frame.
+    same weight for each frame. So are errors of the calibration, which the depth that is put there shares.
     """
+    dense = m.dense - m.by_calibration @ m.by_calibration.T
     n, s = iterate.n_frames, iterate.n_state
     turned = np.zeros((n, 6, 6))
     turned[:, POSITION, POSITION], turned[:, ROTATION, ROTATION] = np.swapaxes(iterate.R_NG, 1, 2), np.eye(3)
-    to_mean = np.zeros((len(m.dense), 6))
+    to_mean = np.zeros((len(dense), 6))
     for k, T in enumerate(turned):
         to_mean[s * k : s * k + 6] = T.T / n
-    against_mean = m.dense @ to_mean
+    against_mean = dense @ to_mean
     mean = to_mean.T @ against_mean
     out = np.empty((n, 6, 6))
     for k, T in enumerate(turned):
         at = slice(s * k, s * k + 6)
         shared = T @ against_mean[at]
-        out[k] = T @ m.dense[at, at] @ T.T - shared - shared.T + mean
+        out[k] = T @ dense[at, at] @ T.T - shared - shared.T + mean
     return out
 
 

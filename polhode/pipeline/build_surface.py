@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from polhode.geometry.lie import Array
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.checks.answer_checks.symmetry_turn import rotation_check, views_of_pairs
 from polhode.pipeline.context import RunContext
-from polhode.pipeline.depth_maps import DepthMaps
+from polhode.pipeline.depth_maps import DepthMaps, freed_depth
 from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.runner import stage
 from polhode.records.surface import DepthMap, SurfaceModel
@@ -22,6 +23,9 @@ _log = logging.getLogger(__name__)
 def fuse_depth(context: RunContext, maps: Iterable[DepthMap], motion: MotionSolution) -> SurfaceModel:
     """The surface in G of the depth maps of all F frames, in order, each moved into G by the motion."""
     X_RG, estimate = motion.X_RG, motion.estimate
+    found = estimate.calibration
+    if found is not None and found.correction is not None:
+        maps = map(partial(freed_depth, context.rig, found.correction), maps)
     surface = fuse(
         zip(maps, X_RG, strict=True),
         context.rig,

@@ -18,9 +18,11 @@ from polhode.frontend.disparity.depth import DisparityRange, range_of_features
 from polhode.frontend.extract import depth_of_pair, extract_depth
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.rectification import Crop, RectifiedPair, Rectifier, rectified_pair, target_crop
+from polhode.geometry.camera import RectifiedRig
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.runner import MadeByPair, stage
 from polhode.pipeline.stream_results import Streamed
+from polhode.records.calibration_effects import CalibrationEffects
 from polhode.records.dataset import StereoSequence
 from polhode.records.surface import DepthMap
 from polhode.run_directory.finished_stages import DEPTH, StageStore
@@ -153,6 +155,26 @@ def depth_maps_of(
     for key in keys:
         store.has(DEPTH, key)
     return DepthMaps(sequence, rectifier, settings, context.workers, ranges_px, store, keys)
+
+
+def freed_depth(rig: RectifiedRig, correction: CalibrationEffects, depth: DepthMap) -> DepthMap:
+    """A depth map freed of errors of the calibration (c = 1), as the tracks are.
+
+    Each point moves along its ray, and beside it by less than a pixel: the depth at its new place follows
+    from the slope there, by at most the sigma, as depth that jumps has no slope.
+    """
+    known = np.isfinite(depth.depth_m)
+    v, u = np.nonzero(known)
+    d = rig.focal_px * rig.baseline_m / depth.depth_m[known].astype(np.float64) + rig.disparity_offset_px
+    uvd_px = np.stack([u, v, d], axis=1)
+    freed_px = correction.taken_off(rig, uvd_px)
+    moved = depth.depth_m.copy()
+    moved[known] = rig.triangulate(freed_px)[:, 2]
+    slope = np.stack([along[known] for along in np.gradient(moved)[::-1]], axis=1)
+    beside = np.sum(np.nan_to_num(slope) * (uvd_px - freed_px)[:, :2], axis=1)
+    limit = depth.sigma_m[known]
+    moved[known] += np.clip(beside, -limit, limit)
+    return replace(depth, depth_m=moved)
 
 
 def depth_map_of_pair(context: RunContext, pair: RectifiedPair, features: StereoFeatures) -> DepthMap:

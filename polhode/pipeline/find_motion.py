@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polhode.backend import estimate_motion, initialize_motion
+from polhode.backend import estimate_motion, initialize_motion, with_calibration
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.matching.pairs import MIN_INLIERS, is_from_second
 from polhode.frontend.tracks.guided_matching import consistent_matches, reconnect
@@ -47,8 +47,11 @@ class MotionSolution:
     """An estimate of the motion with the data that it was made from."""
 
     tracks: StereoTracks
+    """Freed of errors of the calibration that they determine"""
     estimate: MotionEstimate
     links: RelativePoses
+    measured: StereoTracks | None = None
+    """The tracks as measured; None: nothing was taken off them"""
 
     @property
     def X_RG(self) -> Array:
@@ -185,12 +188,18 @@ def best_motion(
                 raise
             _log.warning("the second feature method failed", exc_info=True)
         if solved is not None:
-            return MotionSolution(solved.tracks, solved.estimate, both.links)
+            return _with_calibration(context, solved, both.links)
         _log.info(NO_IMPROVEMENT)
     if attempt.solved is None or attempt.failure:
         raise RunFailure(attempt.failure)
     solved = _refine(context, first.features, attempt.solved)
-    return MotionSolution(solved.tracks, solved.estimate, first.links)
+    return _with_calibration(context, solved, first.links)
+
+
+def _with_calibration(context: RunContext, solved: SolvedTracks, links: RelativePoses) -> MotionSolution:
+    config, progress = context.config.backend, context.progress
+    tracks, estimate = with_calibration(solved.tracks, solved.estimate, config, progress)
+    return MotionSolution(tracks, estimate, links, solved.tracks)
 
 
 def _solve_with_second_method(

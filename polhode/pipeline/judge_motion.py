@@ -24,7 +24,8 @@ def causal_estimate(
     context: RunContext, motion: MotionSolution, streamed: Streamed | None
 ) -> OnlineEstimate | None:
     """The estimate as each frame came, in the frames of the final one: the stream's, if there was one."""
-    tracks, estimate, config = motion.tracks, motion.estimate, context.config.backend
+    # as each frame came, what all of them say of the calibration was not known
+    tracks, estimate, config = motion.measured or motion.tracks, motion.estimate, context.config.backend
     if streamed is not None and np.array_equal(streamed.timestamps_ns, estimate.timestamps_ns):
         return align_online_estimate(streamed.online, estimate)
     if not config.window.enabled:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from polhode.backend import align_online_estimate, estimate_motion
+from polhode.backend import align_online_estimate, estimate_motion, with_calibration
 from polhode.backend.between_key_frames import first_states, smooth_between
 from polhode.backend.initialization.multistart import KnownMotion
 from polhode.backend.problem.inertia import second_moments_from_inertia
@@ -95,6 +95,9 @@ def solve_long(context: RunContext, streamed: Streamed) -> LongSolution:
         raise RunFailure(f"no consistent motion: only {len(keys)} key frames share landmarks with others")
     _log.info("%d of %d frames are key frames", len(keys), len(times_ns))
     motion = _solve_keys(context, tracks, keys, streamed.online)
+    found = motion.estimate.calibration
+    if found is not None and found.correction is not None and motion.tracks.calibration is not None:
+        tracks = tracks.freed(found.correction, motion.tracks.calibration)
     guess = first_states(tracks, keys, motion.estimate, streamed.online, streamed.found_from, config.backend)
     with context.progress.stage("states of all frames", 1) as advance:
         all_tracks, all_frames = smooth_between(tracks, keys, motion.estimate, guess, config.backend)
@@ -156,5 +159,6 @@ def _solve_keys(
     known = KnownMotion(online.v_N[keys], w_G, online.com_G[-1], second_moments_from_inertia(J_G))
     X_RG = inverse_pose(part.X_NR) @ online.X_NG[keys]
     initial = InitialMotion(X_RG, np.ones(len(keys), dtype=np.bool_))
-    estimate = estimate_motion(part, initial, context.config.backend, context.progress, known)
-    return MotionSolution(part, estimate, NO_LINKS)
+    config = context.config.backend
+    estimate = estimate_motion(part, initial, config, context.progress, known)
+    return MotionSolution(*with_calibration(part, estimate, config, context.progress), NO_LINKS)

@@ -4,7 +4,7 @@ The lens of each camera moves its image by a smooth function of the place, here 
 basis; pose and clock of the right camera, and the pose of the rig in its body, act on the point itself.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from polhode.geometry.lie import Array, Bools
 
 DEGREE = 7
 """Of the polynomials: the fifth coefficient of a lens has the seventh power of the radius."""
+
+MIN_DISPARITY_PX = 0.1
+"""From which on the place of a point is known well enough for the effects."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,23 @@ class CalibrationEffects:
     """(3, c)"""
     has_ranges: bool = False
     """Whether disparities are from measured ranges, on which no camera has an effect"""
+    names: tuple[str, ...] = ()
+    """(n,) parameters of the calibration, as in ``CalibrationPrior``"""
+    factor: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """(n, c) their changes by one sigma of each error"""
+
+    def mixed(self, by: Array) -> "CalibrationEffects":
+        """Effects of k combinations of these errors; by (c, k)."""
+        parts = "left", "right", "right_shift_m", "right_turn_rad", "body_shift_m", "body_turn_rad", "factor"
+        return replace(
+            self, right_later_s=self.right_later_s @ by, **{name: getattr(self, name) @ by for name in parts}
+        )
+
+    def taken_off(self, rig: RectifiedRig, uvd_px: Array) -> Array:
+        """Measurements (M, 3) [px] without these errors (c = 1), where nothing moves."""
+        nearest = np.maximum(uvd_px[:, 2], rig.disparity_offset_px + MIN_DISPARITY_PX)
+        p_R = rig.triangulate(np.column_stack([uvd_px[:, :2], nearest]))
+        return np.asarray(uvd_px - self.at(rig, p_R)[:, :, 0])
 
     def at(self, rig: RectifiedRig, p_R: Array, velocity_R: Array | None = None) -> Array:
         """Effects (M, 3, c) on u, v and disparity [px] of points p_R (M, 3) [m].

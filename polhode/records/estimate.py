@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polhode.geometry.lie import Array, Bools, Ints
+from polhode.records.calibration_effects import CalibrationEffects
 
 
 @dataclass(frozen=True)
@@ -217,6 +218,38 @@ class RotationHypothesis:
 
 
 @dataclass(frozen=True)
+class CalibrationScore:
+    """What the residuals say of n errors that all observations share, everything else fitted to them again.
+
+    The first two are a relative error of the focal length, and one of all disparities [px]; those of the
+    calibration follow, in units of their prior.
+    """
+
+    information: Array
+    """(n, n)"""
+    score: Array
+    """(n,) the information times the errors, and noise"""
+    noise: Array
+    """(n, n) covariance of that noise"""
+
+    def of_prior(self) -> tuple[Array, Array, Array]:
+        """Information, score and noise of the errors of the calibration alone."""
+        return self.information[2:, 2:], self.score[2:], self.noise[2:, 2:]
+
+
+@dataclass(frozen=True)
+class EstimatedError:
+    """A combination of parameters of the calibration that the data determine."""
+
+    parameters: dict[str, float]
+    """What it changes of those that mainly belong to it, true minus stated, by name"""
+    value: float
+    """In sigmas of the prior"""
+    sigma: float
+    """Standard deviation that is left, in sigmas of the prior"""
+
+
+@dataclass(frozen=True)
 class CalibrationPart:
     """What errors of the calibration, which all frames share, contribute to the covariances."""
 
@@ -231,6 +264,10 @@ class CalibrationPart:
     poses: Array
     """(F, 6, c) change of the seen poses by one sigma of each of c errors: shift along N [m], turn along G
     [rad]"""
+    estimated: tuple[EstimatedError, ...] = ()
+    """Errors that were estimated, and of which the measurements were freed"""
+    correction: CalibrationEffects | None = None
+    """Effect of these (c = 1), to be taken off measurements; None: there are none"""
 
 
 @dataclass(frozen=True)
@@ -268,7 +305,8 @@ class MotionEstimate:
     Always finite: independent of the principal axes; a weak prior bounds what is undetermined."""
     covariance_X_NG: Array | None = None
     """(F, 6, 6) of X_NG, translation t [m] and rotation a [rad] along the axes of G:
-    p_N = X_NG (Exp(a) p_G + t). Without errors common to all poses, so always finite. None: unknown"""
+    p_N = X_NG (Exp(a) p_G + t). Without errors common to all poses, and those of the calibration, which depth
+    shares, so always finite. None: unknown"""
     covariance_of_marks: Array | None = None
     """(F, 12, 12) in the order r (N), v (N), theta (P), w (P), of the body itself: the estimated centre of
     mass and axes are exact marks on it, so it is finite also where they are undetermined. The marks are where
@@ -279,6 +317,8 @@ class MotionEstimate:
     """Motions with other rotations between frames that fit as well, this one first; empty: there are none"""
     calibration: CalibrationPart | None = None
     """None: the calibration is exact"""
+    calibration_score: CalibrationScore | None = None
+    """Of the calibration as stated; None: not known"""
 
 
 @dataclass(frozen=True)

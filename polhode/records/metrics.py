@@ -19,7 +19,7 @@ from polhode.runtime.errors import InputError
 _SAME_INSTANT_NS = 1_000
 COMPONENTS = {
     **{"position": 3, "velocity": 3, "attitude": 3, "angular_velocity": 3},
-    **{"inertia": 5, "com": 3, "axes": 3},
+    **{"inertia": 5, "com": 3, "axes": 3, "momentum": 2, "momentum_size": 1, "spin": 2},
 }
 """Of each quantity with a NEES and a coverage."""
 NEES, COVERAGE, COVERAGE_CONSTANTS = "nees", "coverage_3sigma", "coverage_3sigma_constants"

@@ -4,7 +4,7 @@ Frames (docs/notation.md): N inertial, R rectified left camera, G geometric fram
 axes at the centre of mass. ``p_N = X_NG @ p_G``; ``p_G = R_GP @ p_P + com_G``.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,10 @@ class StereoTracks:
     """Known force and torque on the target; None: free of known ones."""
     calibration: CalibrationEffects | None = None
     """What errors of the calibration do to the measurements; None: it is exact."""
+
+    def freed(self, correction: CalibrationEffects, left: CalibrationEffects) -> "StereoTracks":
+        """The measurements freed of errors (c = 1); ``left``: effects of one sigma of what is left."""
+        return replace(self, uvd_px=correction.taken_off(self.rig, self.uvd_px), calibration=left)
 
     @property
     def n_frames(self) -> int:

@@ -55,7 +55,7 @@ from polhode.records.truth import Truth
 from polhode.run_directory.archives import read_covariance
 from polhode.run_directory.recording import require_recording
 from polhode.run_directory.summary import read_summary
-from polhode.run_directory.summary_schema import Inertia, Summary, correlation_of
+from polhode.run_directory.summary_schema import Inertia, Rotation, Summary, correlation_of
 from polhode.run_directory.trajectory_file import read_trajectory, require_same_frames, target_poses
 from polhode.runtime.errors import InputError
 
@@ -116,6 +116,9 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
             low, high = np.array(intervals.com_G)
             found["com_G"] = bool(np.all(low <= com_true_G) and np.all(com_true_G <= high))
         metrics[IN_INTERVAL] = found
+    if (rotation := summary.rotation) is not None:
+        metrics["rotation"], of_rotation = _rotation_errors(rotation, true_states, truth.moments)
+        metrics[NEES] |= of_rotation
     metrics |= _prediction_errors(estimate, true_states, half_turn, truth, np.array(inertia.moments))
     correlation = None if summary.mesh is None else correlation_of(summary.mesh)
     metrics["mesh"] = _mesh_metrics(run_folder, sequence_folder, truth, X_NG, X_NG_true, correlation)
@@ -132,6 +135,24 @@ def _run_and_truth(run_folder: Path, sequence_folder: Path) -> tuple[Summary, In
     require_recording(summary.data, sequence_folder)
     states = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
     return summary, summary.inertia, states, truth
+
+
+def _rotation_errors(found: Rotation, true_states: States, moments: Array) -> tuple[Metrics, Metrics]:
+    """Errors of angular momentum and spin axis at the last pair, and their NEES."""
+    h_N = true_states.R_NP[-1] @ (moments / moments[1] * true_states.w_P[-1])
+    size = float(np.linalg.norm(h_N))
+    off, sigma = found.momentum_rad_s - size, found.sigma_momentum_rad_s
+    errors: Metrics = {"momentum_size_percent": 100.0 * off / size}
+    of_nees: Metrics = {"momentum_size": None if sigma is None else (off / sigma) ** 2}
+    both = {"momentum": (found.momentum_N, h_N), "spin": (found.spin_N, true_states.w_N[-1])}
+    for name, (one, true_N) in both.items():
+        unit, true_unit = np.array(one.unit), true_N / max(float(np.linalg.norm(true_N)), 1e-300)
+        angle = np.arctan2(np.linalg.norm(np.cross(unit, true_unit)), unit @ true_unit)
+        errors[f"{name}_direction_deg"], of_nees[name] = float(np.rad2deg(angle)), None
+        if one.sigma_deg is not None:
+            inverse = np.linalg.pinv(np.array(one.cov, dtype=np.float64), rcond=1e-6, hermitian=True)
+            of_nees[name] = float((unit - true_unit) @ inverse @ (unit - true_unit))
+    return errors, of_nees
 
 
 def _prediction_errors(

@@ -339,6 +339,11 @@ def calibration_rows(summary: Summary) -> list[TableRow]:
     if (found := summary.calibration) is None:
         return [] if summary.noise is None else [TableRow("calibration's sigmas", "none: taken as exact")]
     rows, degrees = [TableRow("calibration's sigmas", found.source)], float(np.rad2deg(1.0))
+    for error in found.estimated:
+        changes = ", ".join(f"{name} {change:+.3g}" for name, change in error.parameters.items())
+        size = f"{error.value:+.2f} ± {error.sigma:.2f} sigmas of the stated one"
+        words = f"{changes or 'many parameters'}: {size}"
+        rows.append(TableRow("calibration, estimated and corrected", words))
     for name, part, unit, scale in (
         ("position", found.position_m, "mm", 1e3),
         ("velocity", found.velocity_m_s, "mm/s", 1e3),

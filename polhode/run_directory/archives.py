@@ -111,6 +111,10 @@ class Archive:
         """A single text."""
         return str(self._take(name, (), "U"))
 
+    def texts(self, name: str) -> tuple[str, ...]:
+        """(n,) texts."""
+        return tuple(map(str, self._take(name, (None,), "U").tolist()))
+
     def times(self, name: str, count: int | None = None) -> Ints:
         """(n,) strictly increasing [ns]"""
         stamps = self.whole(name, count)
@@ -272,12 +276,17 @@ def _calibration_effects(archive: Archive) -> CalibrationEffects:
     c, terms = len(later_s), int(kept_terms().sum())
     left, right = (archive.numbers(f"calibration_{side}", terms, 2, c) for side in ("left", "right"))
     poses = ("right_shift_m", "right_turn_rad", "body_shift_m", "body_turn_rad")
+    # measurements of earlier versions lack the names
+    named = "calibration_names" in archive
+    names = archive.texts("calibration_names") if named else ()
     return CalibrationEffects(
         source=archive.text("calibration_source"),
         left=left,
         right=right,
         right_later_s=later_s,
         has_ranges=bool(archive.flags("calibration_has_ranges")),
+        names=names,
+        factor=archive.numbers("calibration_factor", len(names), c) if named else np.zeros((0, c)),
         **{name: archive.numbers(f"calibration_{name}", 3, c) for name in poses},
     )
 

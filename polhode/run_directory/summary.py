@@ -247,7 +247,7 @@ def calibration_sigmas(estimate: MotionEstimate) -> dict[str, Any] | None:
         }
         for name, (whole, own) in variances.items()
     }
-    return {"source": part.source, **parts}
+    return {"source": part.source, **parts, "estimated": [vars(each) for each in part.estimated]}
 
 
 def nullable(covariance: NDArray[np.float64]) -> list[list[float | None]]:

@@ -204,6 +204,18 @@ class SigmaParts(StrictModel):
     calibration: Finite
 
 
+class CalibrationError(StrictModel):
+    """A combination of errors of the calibration that the data determine, and that was taken off."""
+
+    parameters: dict[str, Finite]
+    """Those that mainly belong to it, true minus stated [px, m, rad], by the names of
+    ``calibration_covariance.npz``; empty: many, none of them mainly."""
+    value: Finite
+    """In sigmas of the prior."""
+    sigma: Finite
+    """Standard deviation that is left, in sigmas of the prior."""
+
+
 class CalibrationSigmas(StrictModel):
     """What errors of the calibration contribute to the sigmas; states are those of the last frame."""
 
@@ -217,6 +229,8 @@ class CalibrationSigmas(StrictModel):
     k2: SigmaParts
     axes_rad: SigmaParts
     com_m: SigmaParts
+    estimated: list[CalibrationError] = Field(default_factory=list)
+    """Empty: these data determine nothing better than the prior does, and all errors are considered."""
 
 
 class UnknownPush(StrictModel):

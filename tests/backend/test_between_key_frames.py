@@ -16,7 +16,7 @@ from polhode.records.estimate import InitialMotion, MotionEstimate, OnlineEstima
 from polhode.records.tracks import StereoTracks
 from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, SyntheticSequence, generate
-from tests.backend.motions import BOX
+from tests.backend.motions import BOX, calibrated, deviations, with_errors
 
 CONFIG = Backend.model_validate({"window": {"solver": "gauss_newton"}, "solver": "gauss_newton"})
 SCENE = SyntheticScene(
@@ -40,19 +40,23 @@ def online(sequence: SyntheticSequence) -> OnlineEstimate:
     return online_estimate(states, tracks.rig, tracks.X_NR, CONFIG)
 
 
-@pytest.fixture(scope="module")
-def of_keys(sequence: SyntheticSequence, online: OnlineEstimate) -> MotionEstimate:
-    tracks = sequence.tracks
-    rows = np.isin(tracks.frame, KEYS)
-    part = replace(
+def part_of(tracks: StereoTracks, keys: Ints) -> StereoTracks:
+    """The key frames alone."""
+    rows = np.isin(tracks.frame, keys)
+    return replace(
         tracks,
-        timestamps_ns=tracks.timestamps_ns[KEYS],
-        X_NR=tracks.X_NR[KEYS],
-        frame=np.searchsorted(KEYS, tracks.frame[rows]),
+        timestamps_ns=tracks.timestamps_ns[keys],
+        X_NR=tracks.X_NR[keys],
+        frame=np.searchsorted(keys, tracks.frame[rows]),
         landmark=np.unique(tracks.landmark[rows], return_inverse=True)[1].reshape(-1).astype(np.int64),
         uvd_px=tracks.uvd_px[rows],
         sigma_px=tracks.sigma_px[rows],
     )
+
+
+@pytest.fixture(scope="module")
+def of_keys(sequence: SyntheticSequence, online: OnlineEstimate) -> MotionEstimate:
+    part = part_of(sequence.tracks, KEYS)
     J_G = online.R_GP[-1] @ np.diag(np.exp([online.k[-1, 0], 0.0, -online.k[-1, 1]])) @ online.R_GP[-1].T
     w_G = np.einsum("fij,fj->fi", online.R_GP, online.w_P)[KEYS]
     known = KnownMotion(online.v_N[KEYS], w_G, online.com_G[-1], second_moments_from_inertia(J_G))
@@ -105,3 +109,31 @@ def test_a_worse_start_ends_in_the_same_states_and_frames_before_a_restart_are_l
     guess = first_states(tracks, later, cut, replace(online, X_NG=X_NG), 20, CONFIG)
     found = smooth_between(tracks, later, cut, guess, CONFIG)[1]
     assert np.abs(found.r_N - expected.r_N)[:20].max() < 2e-3
+
+
+def test_errors_of_the_calibration_count_as_in_the_batch_of_all_frames() -> None:
+    scene = replace(
+        SCENE, frames=48, landmarks=400, detection=0.4, sigma_uv_px=0.2, sigma_d_px=0.2, outliers=0.0
+    )
+    given = CONFIG.model_copy(update={"process_noise": "given"})
+    sequence = with_errors(calibrated(generate(scene, 3)), 3)[0]
+    tracks, truth, keys = sequence.tracks, sequence.truth, np.arange(0, 48, 3)
+    w_G = truth.w_P @ truth.R_GP.T
+    second = second_moments_from_inertia(truth.R_GP * truth.moments @ truth.R_GP.T)
+    X_RG = inverse_pose(tracks.X_NR) @ sequence.X_NG
+
+    def solved(part: StereoTracks, frames: Ints) -> MotionEstimate:
+        known = KnownMotion(truth.v_N[frames], w_G[frames], truth.com_G, second)
+        initial = InitialMotion(X_RG[frames], np.ones(len(frames), dtype=np.bool_))
+        return estimate_motion(part, initial, given, Silent(), known)
+
+    whole, of_keys = solved(tracks, np.arange(48)), solved(part_of(tracks, keys), keys)
+    guess = FrameGuess(sequence.X_NG, truth.v_N, w_G)
+    found = smooth_between(tracks, keys, of_keys, guess, given)[1]
+    assert whole.calibration is not None and found.calibration is not None
+    ours, theirs = (np.diag(part.last_joint)[:12] for part in (found.calibration, whole.calibration))
+    np.testing.assert_allclose(ours[:3], theirs[:3], rtol=0.15)
+    assert theirs[2] > 0.1 * whole.covariance[-1][2, 2]
+    # of velocity, attitude and rate the images' part is the larger one by far
+    assert (np.abs(ours - theirs)[3:] < 0.03 * np.diag(whole.covariance[-1])[3:]).all()
+    assert np.abs(deviations(sequence, found)).max() < 5.0

@@ -12,9 +12,11 @@ import pytest
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.cli.main import main
 from polhode.config import Config
+from polhode.geometry.lie import exp_so3
 from polhode.records.estimate import MotionEstimate
 from polhode.report import write_evaluation
 from polhode.report.evaluation import evaluate, format_table, inertia_parameter_error
+from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_schema import Intervals
 from polhode.runtime.errors import InputError
 from tests.pipeline.conftest import Example
@@ -52,6 +54,8 @@ def test_the_truth_scores_zero_in_another_frame_G(example: Example, sequence: Pa
     assert metrics["error_com_mm"] < 1e-9
     assert abs(metrics["error_k1"]) < 1e-12
     assert all(value < 1e-6 for value in metrics["nees"].values())
+    assert {"momentum", "momentum_size", "spin"} < set(metrics["nees"])
+    assert all(abs(value) < 1e-5 for value in metrics["rotation"].values())
     assert all(value < 1e-4 for value in metrics["prediction_error_deg"].values())
     assert all(value < 1e-8 for value in metrics["prediction_error_m"].values())
     assert metrics["mesh"]["chamfer_mm"] < 2e-3
@@ -143,3 +147,23 @@ def test_inertia_error_is_the_step_in_the_solvers_parameters(name: str) -> None:
     step = np.array([0.01, -0.02, 0.015, 0.005, -0.01])
     J_true = 7.0 * inertia_from_second_moments(form.second_moments(xi - step, R_ref))
     np.testing.assert_allclose(inertia_parameter_error(J, J_true, form), step, atol=1e-9)
+
+
+def test_errors_of_momentum_and_spin_are_angles_and_a_share_with_their_nees(
+    example: Example, sequence: Path, tmp_path: Path
+) -> None:
+    true = example.estimate
+    turn = exp_so3(np.array([0.0, 0.02, 0.0]))
+    run = write_example(example, replace(true, R_NP=turn @ true.R_NP, w_P=1.01 * true.w_P), tmp_path / "run")
+    metrics, rotation = evaluate(run, sequence), read_summary(run).rotation
+    assert rotation is not None and rotation.sigma_momentum_rad_s is not None
+    h_N = np.array(rotation.momentum_N.unit)
+    # a turn by 0.02 about y moves what is not along y
+    expected = np.rad2deg(2.0 * np.arcsin(np.sin(0.01) * np.sqrt(1.0 - h_N[1] ** 2)))
+    assert metrics["rotation"]["momentum_direction_deg"] == pytest.approx(expected, rel=1e-6)
+    assert metrics["rotation"]["momentum_size_percent"] == pytest.approx(1.0, rel=1e-6)
+    off = 0.01 / 1.01 * rotation.momentum_rad_s / rotation.sigma_momentum_rad_s
+    assert metrics["nees"]["momentum_size"] == pytest.approx(off**2, rel=1e-6)
+    across = turn.T @ h_N - h_N
+    by_inverse = across @ np.linalg.pinv(np.array(rotation.momentum_N.cov)) @ across
+    assert metrics["nees"]["momentum"] == pytest.approx(by_inverse, rel=1e-3)

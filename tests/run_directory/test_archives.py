@@ -54,7 +54,10 @@ def test_measurements_come_back_equal_with_their_rig(example: Any, tmp_path: Pat
     rng, later_s = np.random.default_rng(0), np.array([0.0, 1e-3])
     left, right = rng.normal(size=(2, int(kept_terms().sum()), 2, 2))
     shift, turn = rng.normal(size=(2, 3, 2))
-    effects = CalibrationEffects("a guess", left, right, shift, turn, later_s, turn, shift, has_ranges=True)
+    effects = CalibrationEffects(
+        *("a guess", left, right, shift, turn, later_s, turn, shift),
+        has_ranges=True, names=("cam0.fu", "cam1.fu", "cam1.p_x"), factor=turn,
+    )  # fmt: skip
     more = ({"wrench": wrench}, {"calibration": effects}, none)
     for given in (replace(example.tracks, **changes) for changes in more):
         write_measurements(given, file)

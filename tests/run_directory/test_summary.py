@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, ValidationError
 
+from polhode.records.estimate import CalibrationPart, EstimatedError
+from polhode.report.tables import calibration_rows
 from polhode.run_directory.check_table import make_check
 from polhode.run_directory.summary import build_summary, read_summary, write_summary
 from polhode.run_directory.summary_schema import (
@@ -19,6 +21,7 @@ from polhode.run_directory.summary_schema import (
 )
 from polhode.run_directory.verdict import lower_status
 from polhode.runtime.errors import InputError
+from tests.pipeline.conftest import N_FRAMES
 
 CONTRACT_KEYS = {
     *("schema", "status", "warnings", "frames", "frames_used", "landmarks", "observations", "duration_s"),
@@ -220,3 +223,17 @@ def test_the_verdict_has_status_reasons_and_every_check_with_its_range(example: 
     failed = lower_status(fallen, "failed", "the disk is full", first=True)
     assert failed.verdict is not None and failed.verdict.status == "failed"
     assert failed.warnings[0] == failed.verdict.reasons[0] == "the disk is full"
+
+
+def test_errors_of_the_calibration_that_were_taken_off_are_listed_with_what_they_change(example: Any) -> None:
+    none = np.zeros((20, 20)), np.zeros((2, 2)), np.zeros((3, 3)), np.zeros((N_FRAMES, 6, 1))
+    errors = EstimatedError({"cam0.fu": -1.4, "cam0.fv": -1.5}, -1.5, 0.3), EstimatedError({}, 0.2, 0.45)
+    part = CalibrationPart("a guess", *none, estimated=errors)
+    summary = _summary(replace(example, estimate=replace(example.estimate, calibration=part)))
+    assert summary.calibration is not None
+    assert [vars(each) for each in summary.calibration.estimated] == [vars(each) for each in errors]
+    rows = [row.value for row in calibration_rows(summary) if "estimated" in row.name]
+    assert rows == [
+        "cam0.fu -1.4, cam0.fv -1.5: -1.50 ± 0.30 sigmas of the stated one",
+        "many parameters: +0.20 ± 0.45 sigmas of the stated one",
+    ]

@@ -16,7 +16,7 @@ from polhode.pipeline.checks.data_checks.pose_checks import (
     swing_check,
 )
 from polhode.pipeline.checks.data_checks.rig_check import rig_checks
-from polhode.pipeline.checks.data_checks.self_calibration import best_correction, focal_check
+from polhode.pipeline.checks.data_checks.self_calibration import focal_check
 from polhode.pipeline.context import RunContext, doubts_of_masks
 from polhode.records.estimate import MotionEstimate
 from polhode.records.tracks import StereoTracks
@@ -44,7 +44,7 @@ def check_data(
     checks = attempt_checks(lambda: [make_check("identical images", float(context.sequence.frozen))])
 
     def calibration() -> list[Check]:
-        return [focal_check(best_correction(tracks, estimate), tracks)]
+        return [focal_check(estimate, context.sequence.has_ranges)]
 
     def mass() -> list[Check]:
         found, unseen = mass_checks(tracks, estimate, config)

@@ -18,11 +18,8 @@ from polhode.pipeline.checks.data_checks.rig_check import (
     largest_step,
     rig_checks,
 )
-from polhode.pipeline.checks.data_checks.self_calibration import (
-    best_correction,
-    focal_check,
-)
-from polhode.records.estimate import InitialMotion, MotionEstimate
+from polhode.pipeline.checks.data_checks.self_calibration import best_stretches, focal_check
+from polhode.records.estimate import CalibrationScore, InitialMotion, MotionEstimate
 from polhode.records.tracks import StereoTracks
 from polhode.run_directory.verdict import reasons_of
 from polhode.runtime.progress import Silent
@@ -168,17 +165,20 @@ def test_steps_need_frames_on_both_sides_clear_values_and_count_by_sigmas() -> N
 def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence, factor: float) -> None:
     rig = sequence.tracks.rig
     wrong = replace(sequence.tracks, rig=replace(rig, focal_px=factor * rig.focal_px))
-    found = best_correction(wrong, solved(sequence, wrong))
-    assert found is not None and found.focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
-    (said,) = reasons_of([focal_check(found, wrong)])
+    known = calibrated(replace(sequence, tracks=wrong)).tracks
+    found = solved(sequence, known)
+    score = found.calibration_score
+    assert score is not None
+    focal = best_stretches(score)[0][0]
+    assert focal == pytest.approx(1.0 / factor - 1.0, abs=0.008)
+    (said,) = reasons_of([focal_check(found, has_ranges=False)])
     assert f"{'longer' if factor < 1 else 'shorter'} than calibrated" in said
     # with sigmas of the calibration that are that large, the data agree with it
-    known = calibrated(replace(sequence, tracks=wrong)).tracks
-    assert known.calibration is not None
-    by_stated = [focal_check(found, known).value or np.inf]
-    for times in (10.0, 100.0):
-        vague = replace(
-            known.calibration, **{n: times * getattr(known.calibration, n) for n in ("left", "right")}
+    by_stated = []
+    for times in (1.0, 10.0, 100.0):
+        by = np.append(np.ones(2), np.full(len(score.score) - 2, times))
+        vague = CalibrationScore(
+            score.information * np.outer(by, by), score.score * by, score.noise * np.outer(by, by)
         )
-        by_stated.append(focal_check(found, replace(known, calibration=vague)).value or np.inf)
+        by_stated.append(focal_check(replace(found, calibration_score=vague), False).value or np.inf)
     assert by_stated[0] > by_stated[1] > by_stated[2] and by_stated[2] < 1.0
