@@ -140,7 +140,7 @@ def _with_disturbances(data: MotionData, found: Fit, starts: list[InitialGuess],
 
 def _fit(data: MotionData, starts: list[InitialGuess], config: Backend, advance: Advance) -> Fit:
     trials = try_hypotheses(data, starts, advance)
-    choice = choose_hypothesis(trials, data.dt_s)
+    choice = choose_hypothesis(trials, data.dt_s, config.max_rpm is not None)
     assert choice[0].name is not None
     pruned = remove_outliers(MotionFit(data, trials[choice[0].name].iterate))
     for _ in range(2):

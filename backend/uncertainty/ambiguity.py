@@ -44,17 +44,22 @@ class OpenRotation:
     odds: float
 
 
-def choose_hypothesis(trials: dict[str, HypothesisFit], dt_s: Array) -> tuple[OpenRotation, ...]:
+def choose_hypothesis(
+    trials: dict[str, HypothesisFit], dt_s: Array, is_limited: bool = False
+) -> tuple[OpenRotation, ...]:
     """The rotations whose best hypotheses fit equally well, the most probable first. dt_s (F - 1,).
 
-    Of a rate nothing is known beforehand but that slow ones are as frequent as fast ones in each octave.
+    Beforehand all rates up to a stated limit are equally probable (is_limited); without one, less than half a
+    revolution between frames is assumed, and the others have the odds ``ODDS_OF_OTHER``.
     """
     # the normalization depends on the rate: it must not decide between two rotations
     names = best_of_rotations(trials)
     least = min(trials[name].misfit for name in names)
     worse = {name: (trials[name].misfit - least) / max(AS_GOOD * least, 1e-300) for name in names}
     turns = {name: _turn_deg(trials[name], dt_s) for name in names if worse[name] <= 1.0}
-    weight = {name: np.exp(-LOG_ODDS_OF_AS_GOOD * worse[name]) / max(turns[name], 1e-3) for name in turns}
+    other = 1.0 if is_limited else ODDS_OF_OTHER / (1.0 - ODDS_OF_OTHER)
+    before = {name: other if turn > 180.0 else 1.0 for name, turn in turns.items()}
+    weight = {name: before[name] * float(np.exp(-LOG_ODDS_OF_AS_GOOD * worse[name])) for name in turns}
     return _by_odds([OpenRotation(name, turns[name], weight[name]) for name in turns])
 
 

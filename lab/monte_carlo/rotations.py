@@ -4,8 +4,8 @@
 
 Random bodies, every other one with nearly equal moments, turn about an axis near the line of sight, so that
 the same side stays in view. Intervals are equal, or frames come up to 35 % of one early or late. Right:
-within 5 % of the rate's length. "open": more than one hypothesis. Up to a revolution between pairs is stated
-(``backend.max_rpm``).
+within 5 % of the rate's length. "open": more than one hypothesis, or disturbances that make the run degraded.
+Up to a revolution between pairs is stated (``backend.max_rpm``).
 """
 
 from collections import Counter
@@ -20,6 +20,7 @@ from lab.command import ROOT, Record, Short, Workers, command
 from lab.monte_carlo.bound import cold_start
 from lab.presentation import print_table
 from lab.record import Case, complete
+from polhode.backend.estimate import SUSPICIOUS_RATIO
 from polhode.config.backend_settings import Backend
 from polhode.runtime.errors import RunFailure
 from polhode.simulation.monte_carlo import SyntheticScene, generate, random_scene
@@ -85,7 +86,7 @@ def scene_of(seed: int, jitter: float) -> tuple[float, SyntheticScene]:
     """Turn between pairs [deg] and the scene of a seed."""
     rng = np.random.default_rng([seed, 57])
     turn_deg = float(rng.uniform(100.0, 350.0))
-    scene = random_scene(seed, frames=20, landmarks=200, detection=0.6, sigma_uv_px=0.3, sigma_d_px=0.3)
+    scene = random_scene(seed, frames=20, landmarks=600, detection=0.6, sigma_uv_px=0.3, sigma_d_px=0.3)
     scene = replace(scene, accel_psd=1e-9, torque_psd=1e-9, station_keeping=True, jitter=jitter)
     if seed % 2:
         scene = replace(scene, J_G=np.eye(3) + np.diag(rng.normal(0.0, 0.01, 3)))
@@ -107,7 +108,7 @@ def measure(case: Case) -> Case:
     true_N = sequence.truth.R_NP[-1] @ sequence.truth.w_P[-1]
     found = [each.R_NG @ each.w_G for each in estimate.hypotheses] or [estimate.R_NP[-1] @ estimate.w_P[-1]]
     rights = [bool(np.linalg.norm(w_N - true_N) < RIGHT * np.linalg.norm(true_N)) for w_N in found]
-    is_open = bool(estimate.hypotheses)
+    is_open = bool(estimate.hypotheses) or (estimate.noise.times_stated or 0.0) > SUSPICIOUS_RATIO
     odds = [[each.odds, float(right)] for each, right in zip(estimate.hypotheses, rights, strict=False)]
     outcome = OUTCOMES[(1 if any(rights) else 3) if is_open else (0 if any(rights) else 4)]
     return line | {"outcome": outcome, "odds": odds}

@@ -13,7 +13,11 @@ from polhode.backend.initialization.rates import (
 )
 from polhode.backend.problem.inertia import inertia_from_second_moments
 from polhode.backend.problem.iterate import Iterate
-from polhode.backend.uncertainty.ambiguity import choose_hypothesis, open_rotations
+from polhode.backend.uncertainty.ambiguity import (
+    LOG_ODDS_OF_AS_GOOD,
+    choose_hypothesis,
+    open_rotations,
+)
 from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.geometry.rigid_body import propagate
 
@@ -62,13 +66,17 @@ def _trial(turn_deg: float, misfit: float, cost: float) -> HypothesisFit:
     return HypothesisFit(Iterate(zero, R_NG, zero, w_G, zero[0], np.zeros(5), np.eye(3), zero), cost, misfit)
 
 
-def test_rotations_that_fit_alike_are_open_and_the_shorter_one_comes_first() -> None:
+def test_rotations_that_fit_alike_are_open_and_without_a_limit_the_shorter_one_comes_first() -> None:
     dt_s, other = np.diff(TIME_S), "sphere" + OPPOSITE_DIRECTION
     alike = {"sphere": _trial(150.0, 1000.0, 50.0), other: _trial(210.0, 999.0, 10.0)}
     first, second = choose_hypothesis(alike, dt_s)
     assert (first.name, second.name) == ("sphere", other)
     assert (first.turn_deg, second.turn_deg) == pytest.approx((150.0, 210.0))
-    assert first.odds > second.odds > 0.3 and first.odds + second.odds == pytest.approx(1.0)
+    # three to one for less than half a revolution, against a misfit that is better by a twentieth of AS_GOOD
+    assert first.odds / second.odds == pytest.approx(3.0 * np.exp(-0.05 * LOG_ODDS_OF_AS_GOOD), rel=0.01)
+    limited = choose_hypothesis(alike, dt_s, is_limited=True)
+    assert [each.name for each in limited] == [other, "sphere"]
+    assert sum(each.odds for each in limited) == pytest.approx(1.0)
     hypotheses = {"sphere": _trial(150.0, 3000.0, 1.0), other: _trial(210.0, 1000.0, 10.0)}
     (chosen,) = choose_hypothesis(hypotheses, dt_s)
     assert chosen.name == other and chosen.odds == 1.0
