@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.stats import chi2
 from tyro.conf import arg
 
 from lab.command import LIGHT, RECORDS, ROOT, Record, Short, Workers, command
@@ -142,19 +141,19 @@ def _pooled_cell(lines: Iterable[Case], quantity: str) -> str:
 
 
 def print_predictions(lines: Sequence[Case]) -> None:
-    """Share inside the 99 % region, and for each component the sigma over the error, root mean square."""
+    """Share inside the regions of 99 %, and for each component the sigma over the error, root mean square."""
     found = [line["predictions"]["ahead"] for line in lines if "predictions" in line]
     if not found:
         return
-    region, rows = float(chi2.ppf(0.99, 12)), []
+    rows = []
     for ahead_s in (f"{each:g}" for each in AHEAD_S):
         error, sigma = (np.array([each[ahead_s][key] for each in found]) for key in ("error", "sigma"))
         # of a ratio of sums the largest would decide; each mission counts alike
         ratio = 1.0 / np.sqrt(np.mean((error / sigma) ** 2, axis=0))
-        inside = np.mean([each[ahead_s]["nees"] <= region for each in found])
+        inside = 100.0 * np.mean([each[ahead_s]["inside"] for each in found], axis=0)
         parts = (" ".join(f"{x:.2f}" for x in ratio[3 * n : 3 * n + 3]) for n in range(len(PARTS)))
-        rows.append([ahead_s, f"{100.0 * inside:.1f}", *parts])
-    print(f"\n{len(found)} predictions: inside the 99 % region [%], sigma over error by component\n")
+        rows.append([ahead_s, " ".join(f"{x:.0f}" for x in inside), *parts])
+    print(f"\n{len(found)} predictions: inside the regions of 99 % [%], sigma over error by component\n")
     print_table(("seconds ahead", "inside", *PARTS), rows, right_from=1)
 
 

@@ -1,4 +1,4 @@
-"""Predictions of a run against the truth that came after it: errors, sigmas, errors over covariances.
+"""Predictions of a run against the truth that came after it: errors, sigmas, regions.
 
 Judged is the body itself, as the covariance of its marks states it: G is exact at the first frame, so that
 the true motion of whatever was there is known, whether or not the principal axes are determined.
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lab.robustness.judge import SIGMAS, floor_of
-from polhode.geometry.lie import Array, log_so3
+from polhode.geometry.lie import Array, Bools, log_so3
 from polhode.planning.predict import final_estimates, predict_run
 from polhode.planning.prediction import PredictedMotion
 from polhode.records.metrics import States, truth_at
@@ -23,36 +23,40 @@ _SCALE = np.repeat([1e3, 1e3, np.rad2deg(1.0), np.rad2deg(1.0)], 3)
 
 
 def predictions_of(run: Path, truth: Truth, size_m: float) -> dict[str, Any]:
-    """By seconds ahead: "error" and "sigma" (12,) [mm, mm/s, deg, deg/s], "nees"; "wrong": beyond five sigma
-    and what matters, whatever the status, where no hypothesis of the run holds the truth.
+    """By seconds ahead: "error" and "sigma" (12,) [mm, mm/s, deg, deg/s], "inside" (4,) of the 99 % regions
+    of PARTS; "wrong": beyond five sigma and what matters, whatever the status, where no hypothesis of the run
+    holds the truth.
     """
     own = truth_at(truth, read_trajectory(run).timestamps_ns[:1])
     errors = [prediction_errors(run, truth, own, n) for n in range(1, len(final_estimates(run)) + 1)]
     floors = np.repeat([floor_of(name, size_m) for name in PARTS], 3)
     beyond = [(np.abs(e) > SIGMAS * s) & (np.abs(e) > floors) for e, s, _ in errors]
-    error, sigma, nees = errors[0]
+    error, sigma, inside = errors[0]
     rows = {
         f"{ahead_s:g}": {
             "error": [float(f"{x:.4g}") for x in error[k]],
             "sigma": [float(f"{x:.4g}") for x in sigma[k]],
-            "nees": float(f"{nees[k]:.4g}"),
+            "inside": inside[k].tolist(),
         }
         for k, ahead_s in enumerate(AHEAD_S)
     }
     return {"ahead": rows, "wrong": all(bool(each.any()) for each in beyond)}
 
 
-def prediction_errors(run: Path, truth: Truth, first: States, hypothesis: int) -> tuple[Array, Array, Array]:
-    """Errors and sigmas (T, 12), squared errors over the covariance (T,); first: the true first state."""
+def prediction_errors(run: Path, truth: Truth, first: States, hypothesis: int) -> tuple[Array, Array, Bools]:
+    """Errors and sigmas (T, 12), and whether each of PARTS is in its region (T, 4); first: the true state."""
     predicted = predict_run(run, AHEAD_S[-1], step_s=AHEAD_S[0], hypothesis=hypothesis)
     rows = np.searchsorted(predicted.time_s, np.array(AHEAD_S) - 1e-6)
     error = body_errors(predicted, read_trajectory(run), truth, first)[rows]
     covariance = predicted.covariance_of_marks[rows]
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    scaled = covariance / (sigma[:, :, None] * sigma[:, None, :])
-    whitened = error / sigma
-    nees = np.einsum("ti,ti->t", whitened, np.linalg.solve(scaled, whitened[..., None])[..., 0])
-    return error * _SCALE, sigma * _SCALE, nees
+    inside = np.zeros((len(rows), len(PARTS)), dtype=np.bool_)
+    for n in range(len(PARTS)):
+        part = slice(3 * n, 3 * n + 3)
+        e = error[:, part]
+        squares = np.einsum("ti,ti->t", e, np.linalg.solve(covariance[:, part, part], e[..., None])[..., 0])
+        inside[:, n] = np.sqrt(squares) <= predicted.region_sigmas[rows, n]
+    return error * _SCALE, sigma * _SCALE, inside
 
 
 def body_errors(predicted: PredictedMotion, table: Any, truth: Truth, first: States) -> Array:
