@@ -199,7 +199,7 @@ def best_motion(
 def _with_calibration(context: RunContext, solved: SolvedTracks, links: RelativePoses) -> MotionSolution:
     config, progress = context.config.backend, context.progress
     tracks, estimate = with_calibration(solved.tracks, solved.estimate, config, progress)
-    return MotionSolution(tracks, estimate, links, solved.tracks)
+    return MotionSolution(tracks, estimate, links, None if tracks is solved.tracks else solved.tracks)
 
 
 def _solve_with_second_method(
