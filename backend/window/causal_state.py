@@ -45,6 +45,8 @@ class OnlineState:
     """(5, 5)"""
     determined: Bools
     """(4,) k1, k2, com, axes"""
+    frame: int = 0
+    """Number of the frame G, which begins again when the motion is lost"""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from polhode.frontend.rectification import Rectifier
 from polhode.geometry.lie import Ints
 from polhode.records.estimate import OnlineEstimate
 from polhode.run_directory.finished_stages import StageStore
+from polhode.run_directory.live_states import LiveRow
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ class Streamed:
     """Of a long stream, of each frame; empty otherwise"""
     found_from: int
     """First frame of those whose poses in ``online`` are in one frame G; the earlier ones are in others"""
+    live: tuple[LiveRow, ...]
+    """What was said of each pair when it came"""
     depth: StageStore | None = None
     """Depth maps of some of the pairs, by the number of the pair"""
 

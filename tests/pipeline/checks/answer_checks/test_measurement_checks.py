@@ -233,7 +233,8 @@ def test_the_causal_estimate_ends_within_the_larger_sigma_of_the_smoothed_one(un
         eye, zero = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
         states = (r_N, estimate.v_N, estimate.R_NP, estimate.w_P, share * estimate.covariance)
         k, known = (zero[:, :2], eye[:, :2, :2]), np.ones((frames, 4), dtype=np.bool_)
-        return OnlineEstimate(estimate.timestamps_ns, *states, estimate.X_NG, *k, zero, eye, eye, eye, known)
+        mass, frame = (zero, eye, eye, eye), np.zeros(frames, dtype=np.int64)
+        return OnlineEstimate(estimate.timestamps_ns, *states, estimate.X_NG, *k, *mass, known, frame)
 
     assert window_check(None, estimate).value is None
     # a causal estimate that takes itself for surer than the smoothed one does not count as such
