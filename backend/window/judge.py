@@ -21,9 +21,12 @@ from polhode.backend.window.innovation import NewPose, StepFit, new_pose
 from polhode.geometry.lie import Array
 
 AGREES, DOUBTED, USUAL = (float(chi2.isf(p, N_POSE)) for p in (1e-6, 1e-3, 0.5))
-"""Squared innovations from which a frame contradicts the motion, and its step is left free; the median."""
-FITS = float(chi2.isf(1e-4, N_POSE - 1))
+"""Squared innovations from which a frame contradicts the motion, and its step is left free; the median, from
+which it is left free too after one that was."""
+FITS = float(chi2.isf(1e-6, N_POSE - 1))
 """Largest squared innovation at the length of the step that fits best."""
+LARGEST_PUSH_RAD = 0.5
+"""Turn that a push may cause within a step: after a larger one the rate is not known to first order."""
 DOUBTED_SIGMAS, FREE = 3.0, 10.0
 """From so many sigmas by which a stamp is off, the length of a step is left free: with so many times what the
 images leave."""
@@ -82,8 +85,10 @@ class Judge:
             if abs(fit.longer_s) > DOUBTED_SIGMAS * fit.sigma_s * np.sqrt(self.level):
                 # too little to tell what it is, enough to pull the rate
                 frame.doubts[0] = FREE * fit.sigma_s
-            elif fit.squared > DOUBTED * self.level:
+            elif fit.squared > (DOUBTED if not before.doubts[1] else 2.0 * USUAL) * self.level:
                 frame.doubts = doubts_of_push(fit)
+            if before.doubts[2] * length_s > LARGEST_PUSH_RAD:
+                return Judgement(False, "the rate is not known again yet")
             return Judgement(True, "" if guess is None else f"since the pair before {guess.words}")
         if guess is None:
             return self._explained(pose, frame, fit, said)
