@@ -78,7 +78,7 @@ class LiveState(OnlineState):
     reason: str
     """Why not, or what was done about the time of the pair; empty: there is nothing to say"""
     frame_of_reference: FrameOfReference | None
-    """Which frame G it is, and its pose in the first one; None: there is none yet"""
+    """Which frame G it is, and its pose in the one before; None: there is none yet"""
     observations: int
     """Of this pair, that agree with the motion"""
     restarts: int
@@ -142,8 +142,6 @@ class _Past:
     """By frame, in the order of time: of all frames, of a long stream those of its key frames"""
     observations: dict[int, Observations] = field(default_factory=dict)
     """By frame: of the frames that are no key frames"""
-    found_from: int = 0
-    """First frame of those whose poses are in the present frame G"""
     tried: dict[tuple[int, int], PairMatch | None] = field(default_factory=dict)
     views_G: list[Array] = field(default_factory=list)
     states: list[OnlineState] = field(default_factory=list)
@@ -301,7 +299,6 @@ class Stream:
         if window.restarts > restarts:
             # The views of the frames so far are in a frame G that is gone.
             past.views_G = [UNKNOWN] * len(past.views_G)
-            past.found_from = len(past.views_G)
         past.views_G.append(viewing_direction_G(X_NR, state.X_NG) if window.accepted else UNKNOWN)
         return self._with_systematic(state, X_NR)
 
@@ -374,7 +371,6 @@ class Stream:
             (*warnings, *told[:SHOWN_REASONS]),
             np.fromiter(past.features, dtype=np.int64),
             tuple(observations),
-            past.found_from,
             tuple(past.live),
             None if ahead is None else ahead.depth,
         )
