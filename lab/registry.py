@@ -107,6 +107,7 @@ BENCHMARKS = (
              "{runs} --truth --data {sequences}", "--horizon 2 --cells 24"),
     Benchmark("live", "live.latency", "docs/live.md", 40, short="--short --record runs/short/records/live"),
     Benchmark("long", "live.long", "docs/live.md", 25, short="--short --record runs/short/records/long"),
+    Benchmark("clock", "live.clock", "docs/live.md", 12, short="--short --record runs/short/records/clock"),
     Benchmark("stages", "live.stages", "docs/validation.md", 3),
     Benchmark("matching", "frontend.matching", "docs/frontend.md", 120,
               short="--short --record runs/short/records/matching"),

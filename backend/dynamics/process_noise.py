@@ -78,15 +78,26 @@ def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, A
 
 
 def whitening(
-    w_G: Array, J_G: Array, dt_s: Array, accel_psd: float | Array, torque_psd: float | Array
+    w_G: Array,
+    J_G: Array,
+    dt_s: Array,
+    accel_psd: float | Array,
+    torque_psd: float | Array,
+    of_length: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, float]:
     """Square roots of the information: translation (n, 2, 2), rotation (n, 6, 6), lower triangular.
 
     ``W @ error`` has unit covariance. Third: half the log-determinant of all covariances, which makes the
-    costs of different inertias comparable.
+    costs of different inertias comparable. of_length: what an uncertain length of the steps adds, the
+    variance (n,) of the position along each axis and the error (n, 6) of attitude and rate for one sigma.
     """
-    T = np.linalg.cholesky(translation_covariance(dt_s, accel_psd))
+    of_centre = translation_covariance(dt_s, accel_psd)
     cov, scale = rotation_covariance_scaled(w_G, J_G, dt_s, torque_psd)
+    if of_length is not None:
+        of_centre[:, 0, 0] += of_length[0]
+        turn = of_length[1] / scale
+        cov += turn[:, :, None] * turn[:, None, :]
+    T = np.linalg.cholesky(of_centre)
     L = np.linalg.cholesky(cov)
     half_log = float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum() + np.log(scale).sum())
     half_log += 3.0 * float(np.log(np.diagonal(T, axis1=1, axis2=2)).sum())

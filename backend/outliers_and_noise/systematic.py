@@ -7,7 +7,8 @@ it was: the centre of mass in G is off by the same shift.
 
 Errors of the calibration move the solution of all frames as ``uncertainty/calibration_response.py`` has it.
 The causal estimate has no such solution: there the field of shifts of a point about the target's place moves
-the state: its value the position, its change along the way the velocity, its rotation the attitude.
+the state: its value the position, its rotation the attitude, and their changes since the motion was first
+known, over which free motion averages, velocity and rate. Inertia and axes lack their part.
 
 The points that features mark on a shaded surface slide along it with the light. The Sun moves all of them
 alike, in a direction that is fixed in N, while the body turns: this looks like a shift of the target, and, as
@@ -65,9 +66,9 @@ def position_spread(rig: RectifiedRig, X_NR: Array, r_N: Array, shared: SharedEr
 
 
 def calibration_spread(
-    rig: RectifiedRig, effects: CalibrationEffects, X_NR: Array, online: OnlineEstimate
+    rig: RectifiedRig, effects: CalibrationEffects, X_NR: Array, online: OnlineEstimate, first: int
 ) -> Array:
-    """Errors (F, 9, 2 c) of r_N, v_N, theta_P for one sigma of each error of the calibration.
+    """Errors (F, 12, 2 c) of the states for one sigma of each error of the calibration; first: known row.
 
     The second half of the columns is what the strain of the field turns: a part of the body that faces the
     camera as a plane turns with it, a whole body does not, and what is seen lies between.
@@ -93,14 +94,13 @@ def calibration_spread(
     turn = 0.5 * np.stack([slope[:, a, b] - slope[:, b, a] for a, b in pairs], axis=1)
     strain = [0.5 * (slope[:, a, b] + slope[:, b, a]) for a, b in pairs[:2]]
     wobble = np.stack([strain[0], -strain[1], np.zeros_like(strain[0])], axis=1)
-    spread = np.zeros((len(at), 9, 2 * at.shape[2]))
-    c = at.shape[2]
-    spread[:, :3, :c] = X_NR[:, :3, :3] @ at
-    changing = np.einsum("fijc,fj->fic", slope, v_R) + hat(turning_R) @ at
-    spread[:, 3:6, :c] = X_NR[:, :3, :3] @ changing
-    to_P = np.swapaxes(online.R_NP, 1, 2) @ X_NR[:, :3, :3]
-    spread[:, 6:, :c], spread[:, 6:, c:] = to_P @ turn, to_P @ wobble
-    return spread
+    # shifts and turns (F, 3, 2 c) in N
+    moved = X_NR[:, :3, :3] @ np.concatenate([at, np.zeros_like(at)], axis=2)
+    turned = X_NR[:, :3, :3] @ np.concatenate([turn, wobble], axis=2)
+    since_s = np.maximum(1e-9 * (online.timestamps_ns - online.timestamps_ns[first]), 1e-9)[:, None, None]
+    R_PN = np.swapaxes(online.R_NP, 1, 2)
+    rates = R_PN @ (turned - turned[first]) / since_s
+    return np.concatenate([moved, (moved - moved[first]) / since_s, R_PN @ turned, rates], axis=1)
 
 
 def with_systematic(estimate: MotionEstimate, tracks: StereoTracks, shared: SharedErrors) -> MotionEstimate:
@@ -149,13 +149,13 @@ def online_with_systematic(
     and the first known one only.
     """
     spread = position_spread(rig, X_NR, online.r_N, shared)
-    if calibration is not None:
-        more = calibration_spread(rig, calibration, X_NR, online)
-        wide = np.zeros((len(spread), 9, spread.shape[2] + more.shape[2]))
-        wide[:, :3, : spread.shape[2]], wide[:, :, spread.shape[2] :] = spread, more
-        spread = wide
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
+    if calibration is not None:
+        more = calibration_spread(rig, calibration, X_NR, online, first)
+        wide = np.zeros((len(spread), 12, spread.shape[2] + more.shape[2]))
+        wide[:, :3, : spread.shape[2]], wide[:, :, spread.shape[2] :] = spread, more
+        spread = wide
     in_G = online.X_NG[first, :3, :3].T @ spread[first, :3]
     return replace(
         online,

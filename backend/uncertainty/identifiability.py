@@ -40,8 +40,13 @@ class IdentifiabilityAnalysis:
         return np.asarray(np.abs(self.lost).max(axis=1, initial=0.0) > 0.1 * CONSTANT_SCALE)
 
 
-def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> IdentifiabilityAnalysis:
-    """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the rates, for the reason that is given."""
+def analyse(
+    information: Array, derivative: AxesDerivative, w_P: Array, apart_sigmas: float = 2.0
+) -> IdentifiabilityAnalysis:
+    """information (8, 8) of (com_G, xi) without prior; w_P (F, 3) the rates, for the reason that is given.
+
+    apart_sigmas: moments that are nearer to each other may be equal.
+    """
     # d(com_G, xi) / d(com_P, k1, k2, theta), scaled
     to_solver = block_diag(derivative.R_GP, np.linalg.inv(np.vstack([derivative.ratios, derivative.axes])))
     to_solver = to_solver * SCALE
@@ -58,7 +63,7 @@ def analyse(information: Array, derivative: AxesDerivative, w_P: Array) -> Ident
     good[3:5] &= total[3:5] <= LIMIT * SCALE[3:5]
     # axes whose moments may be equal are free to turn, however large the estimated difference
     k = np.log(derivative.moments[:2] / derivative.moments[1:])
-    equal = ~good[3:5] | (k < 2.0 * total[3:5])
+    equal = ~good[3:5] | (k < apart_sigmas * total[3:5])
     good[[7, 5]] &= ~equal
     good[6] &= not equal.all()
     # Without both ratios the order of the moments is unknown, and so are the axes. A spin about any axis of a

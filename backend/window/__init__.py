@@ -5,6 +5,8 @@
 - ``add_frame``: pose and landmarks of a new frame.
 - ``solve``: the solves of one frame's update; the choice among several inertias; noise levels.
 - ``estimator_state``: frames, landmarks, constants and noise levels; key frames are chosen, others leave.
+- ``innovation``: whether a new frame continues the motion; ``judge``: what it means if not, clock or push.
+- ``frame_of_reference``: which frame G it is, and where in the one before.
 - ``causal_state``: the state that is reported, with its covariance.
 - ``history``: the unknowns, the arrival cost about them, and the first frames as a whole.
 - ``problem``: the nonlinear program of one update, its quadratic parts, Gauss-Newton and IPOPT on it.

@@ -77,11 +77,7 @@ def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s:
     """The frame with its initial state and accepted observations; None if it cannot be located."""
     before = state.active.recent[-1]
     n_located = len(state.active.frames)
-    slot = state.landmarks.find(m.landmark)
-    index = np.flatnonzero(slot >= 0)
-    inv_sigma = 1.0 / (m.sigma_px * state.noise)
-    marks, at = state.landmarks, slot[index]
-    known = KnownLandmarks(m.uvd_px[index], inv_sigma[index], marks.p_G[at], marks.covariance[at])
+    slot, index, known = known_landmarks(state, m)
     x, R_NG = state.predict(time_s)
     guess = inverse_pose(m.X_NR) @ make_pose(R_NG, x[POSITION]) if n_located >= 2 else None
     found = locate(state.rig, known, guess, number)
@@ -105,6 +101,29 @@ def next_frame(state: EstimatorState, m: FrameMeasurements, number: int, time_s:
         return frame
     _set_observations(state, frame, m, _accepted(state, slot, index, found))
     return frame
+
+
+def known_landmarks(state: EstimatorState, m: FrameMeasurements) -> tuple[Ints, Ints, KnownLandmarks]:
+    """Slots (m,) of what a frame observes, -1: not known; the numbers of the known ones, and themselves."""
+    slot = state.landmarks.find(m.landmark)
+    index = np.flatnonzero(slot >= 0)
+    inv_sigma = 1.0 / (m.sigma_px * state.noise)
+    marks, at = state.landmarks, slot[index]
+    known = KnownLandmarks(m.uvd_px[index], inv_sigma[index], marks.p_G[at], marks.covariance[at])
+    return slot, index, known
+
+
+def pose_in_map(state: EstimatorState, m: FrameMeasurements, number: int) -> tuple[Array, Array] | None:
+    """X_RG (4, 4) from known landmarks alone, and its covariance (6, 6): shift and turn along the axes of G.
+
+    None: too few observations agree with one pose.
+    """
+    _, _, known = known_landmarks(state, m)
+    found = locate(state.rig, known, None, number)
+    if found.by == "nothing":
+        return None
+    H, _ = pose_equations(state.rig, known.select(found.agree), found.X_RG)
+    return found.X_RG, np.asarray(np.linalg.inv(H))
 
 
 def _accepted(state: EstimatorState, slot: Ints, index: Ints, found: LocatedFrame) -> Bools:
@@ -195,15 +214,18 @@ def refine(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array, agree: Bools) 
     for _ in range(3):
         if agree.sum() < MIN_COMMON_LANDMARKS:
             return X, agree
-        part = known.select(agree)
-        r, J = whitened(rig, part, X)
-        # X_RG Exp(shift, theta): the landmark moves by shift - p_G x theta
-        J6 = np.concatenate([J, -J @ hat(part.p_G)], axis=2)
-        W = np.linalg.inv(np.eye(3) + J @ part.covariance @ np.swapaxes(J, 1, 2))
-        H = np.einsum("mia,mij,mjb->ab", J6, W, J6)
-        g = np.einsum("mia,mij,mj->a", J6, W, r)
+        H, g = pose_equations(rig, known.select(agree), X)
         step = -np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(6), g)
         X[:3, 3] = X[:3, 3] + X[:3, :3] @ step[:3]
         X[:3, :3] = X[:3, :3] @ exp_so3(step[3:])
         agree = agreement(rig, known, X)
     return X, agree
+
+
+def pose_equations(rig: RectifiedRig, known: KnownLandmarks, X_RG: Array) -> tuple[Array, Array]:
+    """Information (6, 6) on X_RG Exp(shift, theta), and the gradient (6,)."""
+    r, J = whitened(rig, known, X_RG)
+    # the landmark moves by shift - p_G x theta
+    J6 = np.concatenate([J, -J @ hat(known.p_G)], axis=2)
+    W = np.linalg.inv(np.eye(3) + J @ known.covariance @ np.swapaxes(J, 1, 2))
+    return np.einsum("mia,mij,mjb->ab", J6, W, J6), np.einsum("mia,mij,mj->a", J6, W, r)

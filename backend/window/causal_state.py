@@ -15,6 +15,9 @@ from polhode.geometry.lie import Array, Bools, make_pose
 from polhode.geometry.rigid_body import nearest_half_turn
 
 N_JOINT = N_STATE + N_CONSTANTS
+APART_SIGMAS = 5.0
+"""Difference of two moments from which their axes are claimed: the inertia about which the first frames are
+linearized may be several sigmas off."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class OnlineState:
     """(5, 5)"""
     determined: Bools
     """(4,) k1, k2, com, axes"""
+    frame: int = 0
+    """Number of the frame G, which begins again when the motion is lost"""
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,8 @@ def online_state(
     response = -cho_solve(state, joint[:N_STATE, N_STATE:], check_finite=False)
     constants_information = bare[N_STATE:, N_STATE:] + joint[N_STATE:, :N_STATE] @ response
     w_P = recent_w_G @ derivative.R_GP
-    determined = analyse(0.5 * (constants_information + constants_information.T), derivative, w_P)
+    both = 0.5 * (constants_information + constants_information.T)
+    determined = analyse(both, derivative, w_P, APART_SIGMAS)
     T = state_jacobians(at, derivative)[0]
     dense = np.asarray(np.linalg.inv(joint))
     covariance = T @ dense @ T.T

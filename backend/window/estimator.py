@@ -11,11 +11,19 @@ from scipy.spatial.transform import Rotation
 from polhode.backend.outliers_and_noise.systematic import SharedErrors, online_with_systematic
 from polhode.backend.problem.iterate import COM, POSITION, RATE
 from polhode.backend.uncertainty.covariance import with_infinite
-from polhode.backend.window.add_frame import first_frame, next_frame
+from polhode.backend.window.add_frame import (
+    MIN_COMMON_LANDMARKS,
+    MIN_FRAMES_FOR_DYNAMICS,
+    first_frame,
+    next_frame,
+    pose_in_map,
+)
 from polhode.backend.window.causal_state import OnlineState, iterate_of_frame, online_state, unknown_state
 from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state, shrink_window
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
+from polhode.backend.window.frame_of_reference import FrameOfReference
 from polhode.backend.window.history import History
+from polhode.backend.window.judge import Judge, Judgement
 from polhode.backend.window.problem import IpoptSolver
 from polhode.backend.window.solve import (
     choose_inertia,
@@ -46,6 +54,7 @@ MAX_RATIO_SIGMA = 0.02
 WARM_UP_FRAMES = 24
 """Noise levels are estimated and other inertias tried after 6, 12 and 24 frames."""
 
+UNKNOWN = Judgement(False, "no motion is known yet")
 _log = logging.getLogger(__name__)
 
 
@@ -73,8 +82,15 @@ class SlidingWindow:
         self._first_ns: int | None = None
         self._number = 0
         self._missed = 0
+        self._lost: EstimatorState | None = None
+        """What was forgotten last, until a new frame G refers to it"""
+        self._judge = Judge()
+        self.judgement = UNKNOWN
+        """Of the latest frame"""
         self.restarts = 0
         """How often everything was forgotten: each time with a new frame G"""
+        self.frame: FrameOfReference | None = None
+        """The present frame G; None: no pair has fixed it yet"""
         self.state = initial_estimator_state(rig, config, self._camera)
 
     @property
@@ -113,15 +129,23 @@ class SlidingWindow:
         """X_NG (4, 4) at a time after the latest frame, by the dynamics; None: the motion is unknown."""
         if self._first_ns is None or len(self.state.active.frames) < 2:
             return None
-        x, R_NG = self.state.predict((timestamp_ns - self._first_ns) * 1e-9)
+        x, R_NG = self.state.predict(self._time_s(timestamp_ns))
         return make_pose(R_NG, x[POSITION])
+
+    def _time_s(self, timestamp_ns: int) -> float:
+        """Since the first frame, by stamps that are corrected for the jumps of the clock that were found."""
+        return (timestamp_ns - (self._first_ns or 0)) * 1e-9 + self._judge.offset_s
 
     def add(self, m: FrameMeasurements) -> OnlineState:
         """Add one frame, later than all before; returns its state as known now."""
         if self._first_ns is None:
             self._first_ns = m.timestamp_ns
-        time_s = (m.timestamp_ns - self._first_ns) * 1e-9
+        time_s = self._time_s(m.timestamp_ns)
         self._number += 1
+        self.judgement = UNKNOWN
+        return replace(self._added(m, time_s), frame=self.restarts)
+
+    def _added(self, m: FrameMeasurements, time_s: float) -> OnlineState:
         if not self.state.active.recent:
             return self._begin(m, time_s)
         try:
@@ -133,6 +157,7 @@ class SlidingWindow:
         return online
 
     def _continue(self, m: FrameMeasurements, time_s: float) -> OnlineState:
+        n_known = int(np.sum(self.state.landmarks.find(m.landmark) >= 0))
         frame = next_frame(self.state, m, self._number, time_s)
         if frame is None:
             return self._wait(m, time_s)
@@ -140,6 +165,11 @@ class SlidingWindow:
         state.active.recent.append(frame)
         if history is not None:
             history.append(frame)
+        else:
+            state.active.extend_arrival()
+        contradicts = n_known >= MIN_COMMON_LANDMARKS and len(frame.slot) == 0
+        self.judgement = self._judge.judge(state, contradicts)
+        if history is not None:
             n = history.n_added
             if n <= 24 or n in REESTIMATION_FRAMES:
                 state.update_weak_prior()
@@ -149,7 +179,6 @@ class SlidingWindow:
             else:
                 is_answered = solve_history(state, history, self.answer)
         else:
-            state.active.extend_arrival()
             state.add_newest_step()
             is_answered = solve_window(state, self.answer)
         self.updates, self.answered = self.updates + 1, self.answered + is_answered
@@ -180,9 +209,10 @@ class SlidingWindow:
         if len(m.landmark) < MIN_FIRST_OBSERVATIONS:
             return unknown_state(m.timestamp_ns, m.X_NR)
         frame = first_frame(state, m, self._number, time_s)
+        state.active.recent.append(frame)
+        self._name_frame(m)
         radius = state.update_weak_prior()
         state.active.constants[COM] = state.weak_prior[:3]
-        state.active.recent.append(frame)
         state.history = History(frame, state.gauge_information(radius))
         return unknown_state(m.timestamp_ns, m.X_NR, frame, state.active.constants[COM])
 
@@ -200,8 +230,28 @@ class SlidingWindow:
         level = logging.WARNING if self.state.inertia_known else logging.INFO
         _log.log(level, "sliding window: restarted at %.2f s, %s", time_s, why)
         self.restarts += 1
+        self._lost, self._judge = self.state, Judge(self._judge.offset_s)
         self._missed, self.state = 0, initial_estimator_state(self._rig, self._config, self._camera)
-        return self._begin(m, time_s)
+        online = self._begin(m, time_s)
+        where = "no frame G yet" if self.frame is None else self.frame.words
+        self.judgement = Judgement(False, f"the motion was lost, {why}; begun again: {where}")
+        return online
+
+    def _name_frame(self, m: FrameMeasurements) -> None:
+        """A new frame G, and where it is in the one before, if the map that was lost shows what this pair
+        shows."""
+        lost, before, self._lost = self._lost, self.frame, None
+        self.frame = FrameOfReference(f"G@{m.timestamp_ns}")
+        if before is None or lost is None or len(lost.active.frames) < MIN_FRAMES_FOR_DYNAMICS:
+            # what there was of a map was none
+            return
+        self.frame = replace(self.frame, before=before.name)
+        found = pose_in_map(lost, m, self._number)
+        if found is not None:
+            X = inverse_pose(m.X_NR @ found[0]) @ self.state.active.recent[-1].X_NG_seen
+            self.frame = replace(self.frame, X_before=X, covariance=found[1])
+            # the choice among the half-turns of the axes goes on
+            self._axes = X[:3, :3].T @ self._axes
 
     def _report(self, m: FrameMeasurements) -> OnlineState:
         state, active = self.state, self.state.active
@@ -300,14 +350,16 @@ def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> Onli
     """Express the causal estimate in the frame G and with the half-turns of the final one.
 
     This changes conventions only and adds no information. Each row takes the half-turn of the axes that is
-    nearest to the final attitude at its frame. The two frames G differ by a constant: the mean over the last
-    ten frames is taken.
+    nearest to the final attitude at its frame. Frames G differ from the final one by a constant: the mean
+    over the last ten rows of each is taken.
     """
-    last = slice(-10, None)
-    X = inverse_pose(final.X_NG[last]) @ online.X_NG[last]
-    R = Rotation.from_matrix(X[:, :3, :3]).mean().as_matrix()
-    X_FG = np.eye(4)
-    X_FG[:3, :3], X_FG[:3, 3] = R, np.median(X[:, :3, 3], axis=0)
+    X_FG = np.tile(np.eye(4), (len(online.frame), 1, 1))
+    for number in np.unique(online.frame):
+        rows = np.flatnonzero(online.frame == number)
+        X = inverse_pose(final.X_NG[rows[-10:]]) @ online.X_NG[rows[-10:]]
+        X_FG[rows, :3, :3] = Rotation.from_matrix(X[:, :3, :3]).mean().as_matrix()
+        X_FG[rows, :3, 3] = np.median(X[:, :3, 3], axis=0)
+    R = X_FG[:, :3, :3]
     along = np.einsum("fij,fij->fj", online.R_NP, final.R_NP)
     turn: Array = HALF_TURNS[np.argmax(along @ HALF_TURNS.T, axis=1)]
     sign = np.concatenate([np.ones((len(turn), 6)), turn, turn], axis=1)
@@ -317,7 +369,7 @@ def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> Onli
         w_P=online.w_P * turn,
         covariance=online.covariance * sign[:, :, None] * sign[:, None, :],
         X_NG=online.X_NG @ inverse_pose(X_FG),
-        com_G=transform_points(X_FG, online.com_G),
+        com_G=transform_points(X_FG, online.com_G[:, None])[:, 0],
         cov_com_G=_turned(online.cov_com_G, R),
         R_GP=R @ online.R_GP * turn[:, None, :],
         cov_R_GP=online.cov_R_GP * turn[:, :, None] * turn[:, None, :],
@@ -325,12 +377,13 @@ def align_online_estimate(online: OnlineEstimate, final: MotionEstimate) -> Onli
 
 
 def _turned(covariance: Array, R: Array) -> Array:
-    """Covariances (F, 3, 3) in other axes; components that involve an undetermined one are undetermined."""
+    """Covariances (F, 3, 3) in other axes, by R (F, 3, 3); components that involve an undetermined one are
+    undetermined."""
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     lost = ~np.isfinite(variance)
     finite = np.where(lost[:, :, None] | lost[:, None, :], 0.0, covariance)
-    out = R @ finite @ R.T
-    touched = (np.abs(R)[None] * lost[:, None, :]).max(axis=2) > 0.1
+    out = R @ finite @ np.swapaxes(R, 1, 2)
+    touched = (np.abs(R) * lost[:, None, :]).max(axis=2) > 0.1
     out[touched[:, :, None] | touched[:, None, :]] = 0.0
     rows, components = np.nonzero(touched)
     out[rows, components, components] = np.inf

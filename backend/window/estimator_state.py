@@ -180,9 +180,18 @@ class EstimatorState:
 
     def add_newest_step(self) -> None:
         """Add the dynamics to the newest state, whitened at the present rates."""
-        before, frame = self.active.recent[-2:]
+        self._add_step(*self.active.recent[-2:])
+
+    def renew_step(self) -> None:
+        """Make the latest step again: the time of its frame, or what is doubtful about it, has changed."""
+        if self.history is None:
+            self.active.steps = self.active.steps.part(slice(0, -1))
+            self._add_step(*self.active.recent[-3:-1])
+
+    def _add_step(self, before: Frame, frame: Frame) -> None:
         dt_s = np.array([frame.time_s - before.time_s])
-        step = whitened_steps(before.x[None, RATE], self.J_G, self.J_noise, dt_s, self.disturbances)
+        doubts = np.append(frame.doubts, np.linalg.norm(before.x[VELOCITY]))[None]
+        step = whitened_steps(before.x[None, RATE], self.J_G, self.J_noise, dt_s, self.disturbances, doubts)
         self.active.steps = self.active.steps.and_then(step)
 
 

@@ -114,6 +114,9 @@ class Frame:
     """(m, 3) [1/px]"""
     camera_information: Array | None = None
     """(6, 6) information on the seen pose minus the true one; None: the camera's pose is exact"""
+    doubts: Array = field(default_factory=lambda: np.zeros(3))
+    """Since the frame before, standard deviations of the time [s], of a change of velocity [m/s], of rate
+    [rad/s]"""
     seen: Array = field(init=False)
     """(6,) p_NG, theta as seen from the stated camera pose; without camera noise a view of x"""
     linearized_at: Array | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from polhode.backend.dynamics.residuals import Steps
 from polhode.backend.problem.inertia import InertiaForm
-from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE, RATE
+from polhode.backend.problem.iterate import N_CONSTANTS, N_POSE, N_STATE, POSE, RATE, VELOCITY
 from polhode.backend.window.frame import CondensedVision, Frame
 from polhode.backend.window.problem import (
     DisturbanceLevels,
@@ -222,6 +222,8 @@ class History:
         through = root.T @ across
         self._H = self._H[np.ix_(kept, kept)] - through.T @ through
         self._b = self._b[kept] - through.T @ (root.T @ self._b[gone])
+        # one longer step has the doubts of both
+        self.frames[n + 1].doubts = np.hypot(self.frames[n].doubts, self.frames[n + 1].doubts)
         del self.frames[n]
 
     def absorb(self, frames: list[Frame], H: Array, g: Array) -> None:
@@ -291,7 +293,9 @@ class History:
         """The steps between all frames, whitened at the rates in x (``whitened_steps``)."""
         w_G = x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, RATE]
         dt_s = np.diff([frame.time_s for frame in self.frames])
-        return whitened_steps(w_G, J_G, J_noise, dt_s, disturbances)
+        speed = np.linalg.norm(x[:-N_CONSTANTS].reshape(-1, N_STATE)[:-1, VELOCITY], axis=1)
+        doubts = np.column_stack([[frame.doubts for frame in self.frames[1:]], speed])
+        return whitened_steps(w_G, J_G, J_noise, dt_s, disturbances, doubts)
 
     def expand_arrival(self, active: ActiveWindow, form: InertiaForm, R_inertia: Array) -> None:
         """Give the window its steps, and its arrival cost: all but its own observations and dynamics."""

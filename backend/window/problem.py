@@ -13,7 +13,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_tri
 
 from polhode.backend.dynamics.kernels import N_PRIOR, PLAIN, Output, dynamics_kernel, prior_kernel
 from polhode.backend.dynamics.process_noise import whitening
-from polhode.backend.dynamics.propagation import series_steps
+from polhode.backend.dynamics.propagation import propagate_rotations, series_steps
 from polhode.backend.dynamics.residuals import (
     FrameStates,
     Steps,
@@ -130,12 +130,30 @@ class DisturbanceLevels(NamedTuple):
     torque_psd: float
 
 
-def whitened_steps(w_G: Array, J_G: Array, J_noise: Array, dt_s: Array, noise: DisturbanceLevels) -> Steps:
-    """n steps with the rates (n, 3) at their starts; the disturbing torque acts on J_noise (3, 3)."""
+def whitened_steps(
+    w_G: Array,
+    J_G: Array,
+    J_noise: Array,
+    dt_s: Array,
+    noise: DisturbanceLevels,
+    doubts: Array | None = None,
+) -> Steps:
+    """n steps with the rates (n, 3) at their starts; the disturbing torque acts on J_noise (3, 3).
+
+    doubts (n, 4): ``Frame.doubts`` and the speed [m/s]; None: none.
+    """
     if len(dt_s) == 0:
         return Steps.none()
-    W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)
-    return Steps(dt_s, series_steps(w_G, J_G, dt_s, noise.torque_psd), W_t, W_r, half_log)
+    series = series_steps(w_G, J_G, dt_s, noise.torque_psd)
+    if doubts is None or not doubts[:, :3].any():
+        W_t, W_r, half_log = whitening(w_G, J_noise, dt_s, noise.accel_psd, noise.torque_psd)
+        return Steps(dt_s, series, W_t, W_r, half_log)
+    # white noise of the same variance over the step stands for a push at an unknown time within it
+    accel_psd, torque_psd = np.array(noise)[:, None] + doubts[:, 1:3].T ** 2 / dt_s
+    _, w_end, _, _ = propagate_rotations(w_G, J_G, dt_s, series)
+    slowing = -np.linalg.solve(J_G, np.cross(w_end, w_end @ J_G).T).T
+    later = (doubts[:, 0] * doubts[:, 3]) ** 2, doubts[:, :1] * np.hstack([w_end, slowing])
+    return Steps(dt_s, series, *whitening(w_G, J_noise, dt_s, accel_psd, torque_psd, later))
 
 
 def states_of_vector(x: Array, R_ref: Array) -> FrameStates:

@@ -34,10 +34,11 @@ from polhode.backend.window.frame import (
     WindowObservations,
     residuals,
 )
-from polhode.backend.window.history import History, HistoryVision, add_parts
+from polhode.backend.window.history import ActiveWindow, History, HistoryVision, add_parts
 from polhode.backend.window.problem import (
     NEGLIGIBLE_COST,
     DisturbanceLevels,
+    Elimination,
     IpoptSolver,
     Quadratic,
     WindowProblem,
@@ -213,9 +214,7 @@ def solve_window(state: EstimatorState, answer: IpoptSolver | None = None) -> bo
     for rounds_left in reversed(range(MAX_LINEARIZATIONS)):
         condensed = state.condensed()
         x, at = active.vector(), active.seen_entries
-        H, g = active.arrival.H.copy(), active.arrival.gradient(x)
-        add_parts(H, g, [(at, condensed.S, condensed.g), *active.camera_parts()])
-        left = eliminate(H, g, np.arange(n), np.arange(n, len(x)))
+        left = window_quadratic(active, condensed)
         problem = state.problem(Quadratic(left.H, left.g, x[n:]), active.R_ref, active.steps)
         solution = solve_newton(problem, x[n:], INNER_ITERATIONS)
         is_last = rounds_left == 0 or _is_small(left.whole_step(solution.x - x[n:])[at])
@@ -230,6 +229,14 @@ def solve_window(state: EstimatorState, answer: IpoptSolver | None = None) -> bo
             break
     _remember(state, problem, solution.x, condensed)
     return is_answered
+
+
+def window_quadratic(active: ActiveWindow, condensed: CondensedVision) -> Elimination:
+    """Information on recent states and constants by observations and arrival cost, seen poses eliminated."""
+    x, n = active.vector(), active.n_seen
+    H, g = active.arrival.H.copy(), active.arrival.gradient(x)
+    add_parts(H, g, [(active.seen_entries, condensed.S, condensed.g), *active.camera_parts()])
+    return eliminate(H, g, np.arange(n), np.arange(n, len(x)))
 
 
 def confirmed(problem: WindowProblem, before: Solution, found: Solution) -> Solution:

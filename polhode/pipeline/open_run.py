@@ -10,6 +10,7 @@ from polhode.pipeline.context import open_context
 from polhode.pipeline.runner import Runner, Stopwatch
 from polhode.pipeline.stream_results import Streamed
 from polhode.run_directory import outputs
+from polhode.run_directory.live_states import write_live_states
 from polhode.run_directory.recording import recording_of
 from polhode.run_directory.run_folder import RunFolder
 from polhode.runtime.progress import Progress
@@ -32,6 +33,7 @@ def open_run(
     if streamed is not None:
         # In its own frame G until the motion is found, should that fail.
         outputs.write_online_estimate(written.path, streamed.online)
+        write_live_states(streamed.live, written.path)
         if not streamed.fits(context.sequence.timestamps_ns, context.rectifier):
             _log.info("all pairs together give other masks than those of the stream: nothing of it is used")
             known = None

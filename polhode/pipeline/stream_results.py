@@ -13,6 +13,7 @@ from polhode.frontend.rectification import Rectifier
 from polhode.geometry.lie import Ints
 from polhode.records.estimate import OnlineEstimate
 from polhode.run_directory.finished_stages import StageStore
+from polhode.run_directory.live_states import LiveRow
 
 
 @dataclass(frozen=True)
@@ -54,15 +55,20 @@ class Streamed:
     """(K,) ascending: frames with features; all frames unless the stream is long"""
     observations: Sequence[Observations]
     """Of a long stream, of each frame; empty otherwise"""
-    found_from: int
-    """First frame of those whose poses in ``online`` are in one frame G; the earlier ones are in others"""
+    live: tuple[LiveRow, ...]
+    """What was said of each pair when it came"""
     depth: StageStore | None = None
     """Depth maps of some of the pairs, by the number of the pair"""
 
     @property
+    def found_from(self) -> int:
+        """First frame of those whose poses in ``online`` are in the last frame G."""
+        return int(np.argmax(self.online.frame == self.online.frame[-1]))
+
+    @property
     def content_digest(self) -> str:
         """Of what the results of a run depend on."""
-        motion = self.online, self.found_from, self.key_frames, self.observations
+        motion = self.online, self.key_frames, self.observations
         return digest_of(self.timestamps_ns, self.features, self.tried, self.surroundings, motion)
 
     def fits(self, timestamps_ns: Ints, rectifier: Rectifier) -> bool:

@@ -323,7 +323,8 @@ class MotionEstimate:
 
 @dataclass(frozen=True)
 class OnlineEstimate:
-    """The causal estimate, one row per frame, from the frames up to it. G is fixed at the first frame.
+    """The causal estimate, one row per frame, from the frames up to it. G is fixed at the first frame, and
+    again where the motion was lost.
 
     Undetermined quantities have finite values and a variance of inf. The states are those of
     ``MotionEstimate``.
@@ -357,6 +358,8 @@ class OnlineEstimate:
     """(F, 3, 3) [rad^2], about the axes of P"""
     determined: Bools
     """(F, 4) whether k1, k2, com and axes are"""
+    frame: Ints
+    """(F,) how often the motion had been lost before: rows of one number are in one frame G"""
 
 
 @dataclass(frozen=True)

@@ -14,5 +14,5 @@ In: the records of the stages. Out: the files of a run (docs/run_directory.md), 
 - film: the film of camera beside model, and where its panels lie
 - recording: which recording the run was made from
 - archives: covariance.npz, measurements.npz, online.npz
-- trajectory_file, point_cloud_file: trajectory.csv and landmarks.ply
+- trajectory_file, live_states, point_cloud_file: trajectory.csv, live_states.csv and landmarks.ply
 """

@@ -349,6 +349,9 @@ def read_online(path: Path) -> OnlineEstimate | None:
     found: dict[str, Any] = {}
     for name in (field.name for field in fields(OnlineEstimate)):
         values = archive.arrays.get(name)
+        if values is None and name == "frame":
+            # written before there was one
+            values = np.zeros(count, dtype=np.int64)
         if values is None or values.shape[:1] != (count,):
             raise archive.wrong(f"{name} has not one row for each of {count} frames")
         is_float = values.dtype.kind == "f"

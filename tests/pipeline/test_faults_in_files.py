@@ -176,7 +176,7 @@ def run_and_truth(example: Example, tmp_path_factory: pytest.TempPathFactory) ->
     online = OnlineEstimate(
         motion.timestamps_ns, motion.r_N, motion.v_N, motion.R_NP, motion.w_P, motion.covariance, motion.X_NG,
         k=np.zeros((n, 2)), cov_k=two, com_G=np.zeros((n, 3)), cov_com_G=eye, R_GP=eye, cov_R_GP=eye,
-        determined=np.ones((n, 4), dtype=np.bool_),
+        determined=np.ones((n, 4), dtype=np.bool_), frame=np.zeros(n, dtype=np.int64),
     )  # fmt: skip
     write_online_estimate(folder / "run", online)
     summary = folder / "run" / "summary.json"

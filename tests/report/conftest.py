@@ -36,7 +36,7 @@ def online_of(motion: MotionEstimate) -> OnlineEstimate:
         motion.timestamps_ns, motion.r_N, motion.v_N, motion.R_NP, motion.w_P, 4.0 * motion.covariance,
         motion.X_NG @ shift, np.tile([mass.k1, mass.k2], (F, 1)), cov_k,
         np.tile(mass.com_G - shift[:3, 3], (F, 1)), cov_com, np.tile(mass.R_GP, (F, 1, 1)),
-        np.tile(np.diag([1e-6, np.inf, 1e-6]), (F, 1, 1)), determined,
+        np.tile(np.diag([1e-6, np.inf, 1e-6]), (F, 1, 1)), determined, np.zeros(F, dtype=np.int64),
     )  # fmt: skip
 
 

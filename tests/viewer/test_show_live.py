@@ -42,6 +42,7 @@ def watched(example: Example, k: int, request_surface: Surface = no_surface) -> 
         R_GP=mass.R_GP, cov_R_GP=mass.cov_R_GP, xi=np.zeros(5), cov_J=np.eye(5),
         determined=np.full(4, k >= 10), number=k, status="searching" if k < SEARCHING else "measured",
         observations=int(rows.sum()), restarts=0, sigma_rate=0.01, seconds={},
+        consistent=True, reason="", frame_of_reference=None,
     )  # fmt: skip
     image = np.full((RIG.height_px, RIG.width_px), 40, dtype=np.uint8)
     observed = Observed(tracks.uvd_px[rows, :2], tracks.landmark[rows], tracks.landmark[rows] % 2 == 0)

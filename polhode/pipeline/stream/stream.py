@@ -18,13 +18,19 @@ import numpy as np
 from polhode.backend.window import SlidingWindow, online_estimate, stack_states, without_claims_after_torques
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements
+from polhode.backend.window.frame_of_reference import FrameOfReference
 from polhode.config import Config
 from polhode.frontend.calibration_effects import calibration_effects
 from polhode.frontend.extract import extract_pair
 from polhode.frontend.features.methods import feature_method
 from polhode.frontend.features.stereo import StereoFeatures
 from polhode.frontend.features.surface_features import patch_half_m
-from polhode.frontend.matching.frame_choice import earlier_frames, frames_to_let_go, viewing_direction_G
+from polhode.frontend.matching.frame_choice import (
+    MOST_IN_VIEW,
+    earlier_frames,
+    frames_to_let_go,
+    viewing_direction_G,
+)
 from polhode.frontend.matching.methods import match_method
 from polhode.frontend.matching.pairs import PairMatch, match_pair
 from polhode.frontend.rectification import make_rectifier, rectified_images
@@ -39,11 +45,18 @@ from polhode.records.estimate import OnlineEstimate
 from polhode.records.rig_calibration import StereoCalibration
 from polhode.records.surface import SurfaceModel
 from polhode.records.tracks import Wrench
+from polhode.run_directory.live_states import LiveRow
 from polhode.runtime.processes import worker_count
 
 _log = logging.getLogger(__name__)
 UNKNOWN = np.full(3, np.nan)
-Status = Literal["searching", "predicted", "measured"]
+Status = Literal["searching", "predicted", "measured", "uncertain"]
+REASONS: dict[Status, str] = {
+    "searching": "no motion is known yet",
+    "predicted": "nothing of the pair agrees with the motion: the dynamics bridge it",
+}
+SHOWN_REASONS = 10
+"""Of pairs, among the warnings of a run."""
 RPM = 30.0 / np.pi
 
 
@@ -51,14 +64,21 @@ RPM = 30.0 / np.pi
 class LiveState(OnlineState):
     """The state after a pair, from this pair and earlier ones; variances are inf where undetermined.
 
-    G is the frame of the stream: it begins again, as ``restarts`` counts, when the motion was lost.
+    G is the frame of the stream: it begins again, as ``restarts`` counts, when the motion was lost. N and the
+    choice among the half-turns of P stay.
     """
 
     number: int
     """Of the pair, counted from 0"""
     status: Status
     """searching: no motion is known yet; predicted: the pair shows nothing that agrees, the dynamics bridge
-    it; measured"""
+    it; uncertain: the pair contradicts the motion; measured"""
+    consistent: bool
+    """Whether the pair continues the motion, within the covariance of what it differs by"""
+    reason: str
+    """Why not, or what was done about the time of the pair; empty: there is nothing to say"""
+    frame_of_reference: FrameOfReference | None
+    """Which frame G it is, and its pose in the one before; None: there is none yet"""
     observations: int
     """Of this pair, that agree with the motion"""
     restarts: int
@@ -122,11 +142,10 @@ class _Past:
     """By frame, in the order of time: of all frames, of a long stream those of its key frames"""
     observations: dict[int, Observations] = field(default_factory=dict)
     """By frame: of the frames that are no key frames"""
-    found_from: int = 0
-    """First frame of those whose poses are in the present frame G"""
     tried: dict[tuple[int, int], PairMatch | None] = field(default_factory=dict)
     views_G: list[Array] = field(default_factory=list)
     states: list[OnlineState] = field(default_factory=list)
+    live: list[LiveRow] = field(default_factory=list)
     first_known: tuple[OnlineState, Array] | None = None
     """The first state of which something is determined, and X_NR there"""
     before: tuple[OnlineState, Array] | None = None
@@ -200,11 +219,22 @@ class Stream:
         seconds = {"features": extracted.seconds, "matching": matched - begin, "window": done - matched}
         window = self._window
         self._work_ahead(k, extracted, X_NR, state)
-        known = np.isfinite(np.diagonal(state.covariance)).any()
+        known, judged = bool(np.isfinite(np.diagonal(state.covariance)).any()), window.judgement
+        seen: Status = "measured" if judged.consistent else "uncertain"
+        status: Status = "searching" if not known else seen if window.accepted else "predicted"
+        reason = judged.reason or ("" if status == "measured" else REASONS[status])
+        row = LiveRow(
+            *(timestamp_ns, status, reason, "" if window.frame is None else window.frame.name),
+            int(known and judged.consistent),
+        )
+        past.live.append(row)
         return LiveState(
             **{each.name: getattr(state, each.name) for each in fields(OnlineState)},
             number=k,
-            status="searching" if not known else "measured" if window.accepted else "predicted",
+            status=status,
+            consistent=bool(row.consistent),
+            reason=reason,
+            frame_of_reference=window.frame,
             observations=window.accepted,
             restarts=window.restarts,
             sigma_rate=window.sigma_rate,
@@ -245,8 +275,13 @@ class Stream:
     def _match_earlier(self, timestamp_ns: int, X_NR: Array) -> list[PairMatch]:
         k, X_NG, past = len(self) - 1, self._window.predict(timestamp_ns), self._past
         predicted = None if X_NG is None else viewing_direction_G(X_NR, X_NG)
-        matches = []
-        for i in map(int, earlier_frames(np.array(past.views_G).reshape(k, 3), predicted)):
+        matches = list[PairMatch]()
+        frames = earlier_frames(np.array(past.views_G).reshape(k, 3), predicted).tolist()
+        # where nothing matches, the prediction may be wrong, as after a jump of the clock: other sides follow
+        others = range(0, k, 1 + k // MOST_IN_VIEW) if len(past.features[k]) else ()
+        for n, i in enumerate([*frames, *(i for i in others if i in past.features and i not in frames)]):
+            if n >= len(frames) and matches:
+                break
             match = match_pair(past.features, i, k, self.rectifier.rig, self._frontend, self._config.seed)
             if not self.is_long:
                 past.tried[i, k] = match
@@ -264,7 +299,6 @@ class Stream:
         if window.restarts > restarts:
             # The views of the frames so far are in a frame G that is gone.
             past.views_G = [UNKNOWN] * len(past.views_G)
-            past.found_from = len(past.views_G)
         past.views_G.append(viewing_direction_G(X_NR, state.X_NG) if window.accepted else UNKNOWN)
         return self._with_systematic(state, X_NR)
 
@@ -317,6 +351,11 @@ class Stream:
     def streamed(self, warnings: tuple[str, ...]) -> Streamed:
         """What was found, for the batch. At least one pair has come."""
         past, ahead, n = self._past, self._ahead, len(self)
+        told = [
+            f"live: {row.timestamp_ns} ns: {row.reason}"
+            for row in past.live
+            if row.reason and row.status in ("uncertain", "measured")
+        ]
         observations = [
             past.observations[k]
             if k in past.observations
@@ -329,9 +368,9 @@ class Stream:
             {**past.tried, **({} if ahead is None else ahead.finish())},
             self.rectifier.surroundings,
             stack_states(past.states),
-            warnings,
+            (*warnings, *told[:SHOWN_REASONS]),
             np.fromiter(past.features, dtype=np.int64),
             tuple(observations),
-            past.found_from,
+            tuple(past.live),
             None if ahead is None else ahead.depth,
         )

@@ -1,5 +1,7 @@
 """Pairs pushed one at a time: a state for each, which later pairs cannot change; and what is done ahead."""
 
+import csv
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -144,6 +146,31 @@ def test_the_states_follow_the_motion_and_are_those_of_the_run(whole: Finished) 
         np.testing.assert_array_equal(getattr(online, name), [getattr(state, name) for state in states])
     assert read_summary(whole.folder).status in ("ok", "degraded")
     assert (whole.folder / "report.html").is_file()
+
+
+def test_each_pair_is_judged_and_the_run_keeps_what_was_said(whole: Finished) -> None:
+    with (whole.folder / "live_states.csv").open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert list(rows[0]) == ["timestamp_ns", "status", "reason", "frame_of_reference", "consistent"]
+    for row, state in zip(rows, whole.states, strict=True):
+        told = [str(state.timestamp_ns), state.status, state.reason, "G@0", str(int(state.consistent))]
+        assert list(row.values()) == told
+    assert not whole.states[0].consistent and whole.states[0].reason == "no motion is known yet"
+    assert all(state.consistent and not state.reason for state in whole.states[FIRST:])
+
+
+def test_a_jump_of_the_clock_is_found_in_images_and_the_rate_stays(
+    whole: Finished, session: Session, pairs: list[StereoImages]
+) -> None:
+    n = FIRST + 3
+    states = push(session, pairs[:n], [0.5 * k + (7.3 if k >= FIRST else 0.0) for k in range(n)])
+    assert [state.status for state in states[FIRST:]] == ["uncertain", "measured", "measured"]
+    off = re.search(r"the stamps are off by (\S+) s", states[FIRST].reason)
+    assert off is not None and abs(float(off[1]) - 7.3) < 0.05 and not states[FIRST].consistent
+    assert states[FIRST + 1].consistent and states[-1].timestamp_ns == round(1e9 * (0.5 * (n - 1) + 7.3))
+    free = whole.states[n - 1]
+    assert abs(states[-1].rate_rpm - free.rate_rpm) < free.sigma_rate_rpm
+    assert (states[-1].sigma_rate_rpm < 2.0 * free.sigma_rate_rpm) and len(session) == n
 
 
 def test_late_repeated_and_frozen_pairs_are_bridged_and_named(
