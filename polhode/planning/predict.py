@@ -369,9 +369,9 @@ def format_prediction(prediction: PredictedMotion, is_written: bool, marks: bool
 
 def _parts_at_horizon(prediction: PredictedMotion) -> Table:
     """What the sigmas of the last row are made of, and how many of them hold 99 %."""
-    table = Table(title="Variance at the horizon, of the centre of mass and the principal axes")
+    table = Table(title="Parts of the variance at the horizon")
     for name in ("", *PARTS, "99 % region [sigma]"):
-        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column(escape(name), justify="right", no_wrap=True)
     variances = np.square(prediction.sigma_parts[-1]).reshape(len(PARTS), 4, 3).sum(axis=2)
     shares = variances / np.maximum(variances.sum(axis=0), 1e-300)
     for name, share, radius in zip(QUANTITIES, shares.T, prediction.region_sigmas[-1], strict=True):
