@@ -41,8 +41,8 @@ SUSPICIOUS_SQUARES = 24.0
 MIN_MEDIAN_MULTIPLE, MIN_SQUARES = 5.5, 8.0
 """Multiple of the median, and smallest value, that is suspicious too: disturbances raise the process
 noise."""
-MIN_EVIDENCE_GAIN = 15.0
-"""Gain of log-evidence for all nodes together: odds of three million, far above the number of steps."""
+MIN_EVIDENCE_GAIN = 12.0
+"""Gain of log-evidence for all nodes together: odds of 160,000, far above the number of steps."""
 MAX_NODE_SHARE = 0.4
 """Largest share of the steps with nodes; with more of them the process noise describes the disturbances."""
 

@@ -89,7 +89,7 @@ def put_in_place(
     patch.setattr("polhode.pipeline.correspondences.match_rows", matched)
     patch.setattr("polhode.pipeline.build_surface.fuse", lambda *_, **__: surface)
     # of the pictures on disk
-    patch.setattr("polhode.pipeline.build_surface.ImageMotion.compare", lambda *_: None)
+    patch.setattr("polhode.pipeline.build_surface.views_of_pairs", lambda *_: [])
     patch.setattr("polhode.pipeline.open_run.warn_before_run", lambda *_: None)
 
 
