@@ -155,8 +155,6 @@ BENCHMARKS = (
               short="--short --record runs/short/records/faults"),
     Benchmark("measurement_faults", "robustness.measurement_faults", "docs/checks.md", 60,
               short="--short --record runs/short/records/measurement_faults"),
-    Benchmark("verdict", "robustness.verdict", "docs/checks.md", 1, "-o runs/verdict.png", "",
-              also="trust"),
     Benchmark("study_findings", "studies.findings", "lab/studies/README.md", 1, short=""),
     Benchmark("rules_of_thumb", "studies.rules_of_thumb", "docs/expect.md", 240,
               "runs/rules -o runs/rules_of_thumb.yaml --held-back 30",

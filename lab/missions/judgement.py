@@ -12,11 +12,10 @@ from lab.missions.predictions import predictions_of
 from lab.robustness.judge import judged
 from polhode.geometry.lie import Ints, inverse_pose
 from polhode.mapping.mesh_files import read_ply
-from polhode.records.metrics import States, motion_errors
+from polhode.records.metrics import States
 from polhode.records.read_truth import read_truth
 from polhode.records.truth import Truth
 from polhode.report.evaluation import between_target_frames, truth_of_frames
-from polhode.run_directory.archives import read_covariance
 from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_schema import Summary
 from polhode.run_directory.trajectory_file import read_trajectory, target_poses
@@ -48,7 +47,7 @@ def judgement(run: Path, sequence: Path, size_m: float) -> dict[str, Any]:
     if truth is None:
         raise InputError(f"{sequence}: no truth; simulate it")
     known = SequenceTruth(stamps_ns, truth)
-    row |= judged(run, known, size_m) | rates(run, truth)
+    row |= judged(run, known, size_m)
     row["predictions"] = predictions_of(run, read_truth(sequence), size_m)
     row["consistency"] = consistency_of(run, summary, known)
     row["intervals"] = intervals_of(run, summary, truth)
@@ -73,22 +72,6 @@ def mesh_shares(run: Path, sequence: Path, summary: Summary, truth: Truth) -> di
     mesh.apply_transform(between_target_frames(X_NG, X_NG_true, mesh.centroid))
     one, three = within_sigma(mesh, own.sigma_m, true_mesh, (1.0, 3.0))
     return {"within_1_sigma": round(one, 4), "within_3_sigma": round(three, 4)}
-
-
-def rates(run: Path, truth: Truth) -> dict[str, float | None]:
-    """Error of the rotation, its sigma and its true size [deg/s]; the sigma is that of the worst axis of the
-    body in the last frame, which is finite where the principal axes are undetermined, too.
-    """
-    table = read_trajectory(run)
-    estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
-    own = States(truth.timestamps_ns, truth.r_N, truth.v_N, truth.R_NP, truth.w_P)
-    last = read_covariance(run).last_body
-    sigma = np.inf if last is None else float(np.rad2deg(np.sqrt(np.diagonal(last)[9:12].max())))
-    return {
-        "rate_error_deg_s": float(f"{motion_errors(estimate, own).rmse_angular_velocity_deg_s:.4g}"),
-        "rate_sigma_deg_s": float(f"{sigma:.4g}") if np.isfinite(sigma) else None,
-        "rate_deg_s": float(f"{np.rad2deg(np.linalg.norm(own.w_P, axis=1).mean()):.4g}"),
-    }
 
 
 def intervals_of(run: Path, summary: Summary, truth: Truth) -> dict[str, Any]:

@@ -5,7 +5,7 @@
 No images: a random body tumbles, a stereo camera measures its landmarks (0.3 px, 0.1 px of disparity, 3 % of
 gross errors), and one thing is wrong, by an amount drawn at random from slight to gross (``FAULTS``). The
 back end solves, from the true poses; the checks that need no images judge. Three hundred runs take an hour,
-so that limits and verdict can be judged by their distributions (``lab/robustness/verdict.py``).
+so that limits can be judged by the distributions of their values.
 
 A run is a row of the record, as those of ``lab/robustness/data_faults.py``, whose "wrong" it shares.
 """
