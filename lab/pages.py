@@ -74,7 +74,7 @@ def validation_faults() -> Iterator[str]:
 
 def command_faults() -> Iterator[str]:
     """Commands of the laboratory that a page names and that cannot be run as they stand."""
-    targets = {name for each in BENCHMARKS for name in (each.name, each.topic, each.also)}
+    targets = {name for each in BENCHMARKS for name in (each.name, each.topic)}
     for page in PAGES:
         for module, options, target in COMMAND.findall(page.read_text()):
             if target:

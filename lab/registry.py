@@ -28,9 +28,6 @@ class Benchmark:
     needs: tuple[str, ...] = ()
     """Folders (with a slash) and Python packages without which it is skipped"""
 
-    also: str = ""
-    """Another topic that it belongs to"""
-
     @property
     def topic(self) -> str:
         """The folder of the module."""
@@ -172,9 +169,9 @@ def chosen(words: tuple[str, ...]) -> list[Benchmark]:
 
     Raises SystemExit for a word that is neither.
     """
-    known = {word for each in BENCHMARKS for word in (each.name, each.topic, each.also) if word}
+    known = {word for each in BENCHMARKS for word in (each.name, each.topic)}
     for word in words:
         if word not in known:
             topics = ", ".join(dict.fromkeys(each.topic for each in BENCHMARKS))
             raise SystemExit(f"{word}: no such benchmark; the topics are {topics}; --list shows the names")
-    return [each for each in BENCHMARKS if not words or {each.name, each.topic, each.also} & set(words)]
+    return [each for each in BENCHMARKS if not words or {each.name, each.topic} & set(words)]
