@@ -3,9 +3,8 @@
     python -m lab.end_to_end.prediction_error RUN SEQ -o PNG [--horizon 60]
 
 Attitude and position that were predicted from the last state, the truth, their difference and three standard
-deviations of the body itself (``polhode predict --marks``). As in metrics.json, the attitude is compared
-after the constant rotation between estimated and true axes; the place is that of the body's mark at the
-estimated centre of mass. Prints errors and sigmas at 10, 30 and 60 s, and the share inside three sigma.
+deviations of the body itself (``polhode predict --marks``), whose G is exact at the first frame
+(``lab/missions/predictions.py``). Prints errors and sigmas at 10, 30 and 60 s, and the share inside three sigma.
 """
 
 from dataclasses import dataclass
@@ -16,10 +15,11 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from lab.command import command
+from lab.missions.predictions import body_errors
 from lab.presentation import save_figure, subplots
-from polhode.geometry.lie import Array, continuous_wxyz, log_so3, wxyz_from_matrix
+from polhode.geometry.lie import Array, continuous_wxyz, wxyz_from_matrix
 from polhode.planning.predict import predict_run
-from polhode.records.metrics import States, constant_body_rotation, motion_errors, truth_at, with_half_turn
+from polhode.records.metrics import truth_at
 from polhode.records.read_truth import read_truth
 from polhode.run_directory.trajectory_file import read_trajectory, standard_deviations
 
@@ -71,23 +71,15 @@ def compare(
     Raises InputError when the truth does not reach that far.
     """
     seen, ahead, truth = read_trajectory(run), predict_run(run, horizon_s), read_truth(sequence)
-    estimate = States(seen.timestamps_ns, seen.r_N, seen.v_N, seen.R_NP, seen.w_P)
-    at_frames = truth_at(truth, estimate.timestamps_ns)
-    half_turn = motion_errors(estimate, at_frames).half_turn
-    R_fit = constant_body_rotation(with_half_turn(estimate, half_turn), at_frames)
-    predicted = States(ahead.timestamps_ns, ahead.r_N, ahead.v_N, ahead.R_NP, ahead.w_P)
-    came = truth_at(truth, ahead.timestamps_ns)
-    R_NP = with_half_turn(predicted, half_turn).R_NP @ R_fit
-    # where the mark at the estimated centre of mass lies in the true body, by all frames of the run
-    offset_P = np.mean(np.einsum("fji,fj->fi", at_frames.R_NP, estimate.r_N - at_frames.r_N), axis=0)
-    place_m = ahead.r_N - came.r_N - came.R_NP @ offset_P
-    sigma = standard_deviations(ahead.covariance_of_marks)
-    turn_rad = log_so3(np.swapaxes(came.R_NP, 1, 2) @ R_NP)
-    q, q_predicted = continuous_wxyz(wxyz_from_matrix(came.R_NP)), wxyz_from_matrix(R_NP)
+    came, first = truth_at(truth, ahead.timestamps_ns), truth_at(truth, seen.timestamps_ns[:1])
+    error, sigma = body_errors(ahead, seen, truth, first), standard_deviations(ahead.covariance_of_marks)
+    # the true axes, of which the estimate's G was a copy at the first frame
+    predicted = ahead.X_NG[:, :3, :3] @ ahead.R_GP @ seen.R_NP[0].T @ first.R_NP[0]
+    q, q_predicted = continuous_wxyz(wxyz_from_matrix(came.R_NP)), wxyz_from_matrix(predicted)
     q_predicted *= np.sign(np.sum(q * q_predicted, axis=1, keepdims=True))
     errors = (
-        PredictionErrors("attitude", "deg", np.rad2deg(turn_rad), np.rad2deg(sigma[:, 6:9])),
-        PredictionErrors("position", "mm", 1e3 * place_m, 1e3 * sigma[:, 0:3]),
+        PredictionErrors("attitude", "deg", np.rad2deg(error[:, 6:9]), np.rad2deg(sigma[:, 6:9])),
+        PredictionErrors("position", "mm", 1e3 * error[:, 0:3], 1e3 * sigma[:, 0:3]),
     )
     return ahead.time_s, (q, q_predicted), errors
 
