@@ -4,7 +4,8 @@
 
 Attitude and position that were predicted from the last state, the truth, their difference and three standard
 deviations of the body itself (``polhode predict --marks``), whose G is exact at the first frame
-(``lab/missions/predictions.py``). Prints errors and sigmas at 10, 30 and 60 s, and the share inside three sigma.
+(``lab/missions/predictions.py``). Prints errors and sigmas at 10, 30 and 60 s, and the share inside three
+sigma.
 """
 
 from dataclasses import dataclass
