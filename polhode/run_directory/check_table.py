@@ -54,12 +54,12 @@ CHECK_TABLE = {
         "from {from_s:g} s on all disparities are {step_px:+.2f} px different, as if one camera had "
         "turned sideways by {degrees:.2f} deg: the calibration does not hold throughout"),
     "focal length": CheckRow(
-        "self-calibrated focal length from the calibration, in sigmas of both", "sigma", 4.0,
+        "self-calibrated focal length from the calibration, in sigmas of both", "sigma", 5.0,
         "a focal length {percent:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or disparities "
         "{disparity_px:+.2f} px different, would fit the rotating target better, {value:.1f} sigmas of the "
         "stated calibration: calibrate again, or state larger sigmas; distances are wrong accordingly"),
     "focal length of ranges": CheckRow(
-        "self-calibrated focal length from the calibration, in sigmas of both", "sigma", 4.0,
+        "self-calibrated focal length from the calibration, in sigmas of both", "sigma", 5.0,
         "a focal length {percent:.2f} % {longer} than calibrated (sigma {sigma:.2f} %), or ranges with "
         "another offset, would fit the rotating target better: check the calibration of the camera and of "
         "the ranges; shape and motion are wrong accordingly"),

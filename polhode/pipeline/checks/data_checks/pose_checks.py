@@ -30,6 +30,8 @@ ROUGHNESS_PER_SIGMA = float(np.sqrt(15.0))
 coefficients of four successive poses are -1/2, 3/2, -3/2, 1/2."""
 MIN_FRAMES = 2
 """With observations, on either side of an instant: a single frame contributes little."""
+MIN_SWING_DEG = 0.1
+"""Oscillation of the inspector's attitude that matters; wrong runs have 0.14 and more."""
 
 
 def _turns(R: Array) -> Array:
@@ -116,7 +118,10 @@ def swing_check(tracks: StereoTracks, estimate: MotionEstimate, config: Backend)
     swing = None if solution is None else find_swing(solution)
     if swing is None:
         return make_check("inspector swing", None)
-    return make_check("inspector swing", max(swing.evidence_gain, 0.0), swing_deg=np.rad2deg(swing.rms_rad))
+    swing_deg = float(np.rad2deg(swing.rms_rad))
+    # a smaller one, however evident, is of the size that the calibration pretends
+    gain = swing.evidence_gain if swing_deg > MIN_SWING_DEG else 0.0
+    return make_check("inspector swing", max(gain, 0.0), swing_deg=swing_deg)
 
 
 def connection_check(tracks: StereoTracks, estimate: MotionEstimate) -> Check:

@@ -30,6 +30,8 @@ from polhode.run_directory.summary_schema import Check
 
 MIN_MATCHES = 8
 """A frame with fewer matches does not count."""
+MIN_STRETCHES = 6
+"""Of frames, of which the scatter of a delay is taken."""
 MIN_FRAMES = 4
 """Frames on either side of a step."""
 CLEAR_SIGMAS = 5.0
@@ -230,7 +232,8 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
     """The delay, by least squares of row offsets on velocities; None: too few, or these hide it.
 
     What an imperfect calibration explains is left out: offsets that depend on the place in the image, to
-    second order, and on the disparity. The sigma treats each frame as one observation.
+    second order, and on the disparity. The sigma treats stretches of frames as one observation each, of the
+    length that makes it largest: neighbouring frames show the same landmarks.
     """
     if not parts:
         return None
@@ -249,5 +252,7 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
         spread = 1.4826 * float(np.median(np.abs(residual[good])))
         good = np.abs(residual) < 3.0 * max(spread, 0.02)
     by_frame = np.bincount(frame[good], x0[good] * residual[good])
-    sigma_s = float(np.sqrt(np.sum(by_frame**2)) / np.sum(x0[good] ** 2))
+    lengths = 2 ** np.arange(int(np.log2(max(len(by_frame) // MIN_STRETCHES, 1))) + 1)
+    sums = [np.add.reduceat(by_frame, np.arange(0, len(by_frame), length)) for length in lengths]
+    sigma_s = float(max(np.sqrt(np.sum(each**2)) for each in sums) / np.sum(x0[good] ** 2))
     return CameraDelay(-slope, sigma_s, float(np.std(x0[good])))
