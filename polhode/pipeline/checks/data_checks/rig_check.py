@@ -172,11 +172,11 @@ class CameraDelay:
     def limit_s(self) -> float:
         """A delay beyond it is a fault.
 
-        It must displace rows by 0.03 px: less is within the accuracy of a feature, and any slowly turning
-        target makes a delay of it.
+        It must displace rows by 0.1 px: as much the distortion of a good calibration may leave, and a slowly
+        turning target makes a delay of it.
         """
         trigger_s = 1e-3 * (CHECK_TABLE["camera delay"].limit or 0.0)
-        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, 0.03 / max(self.speed_px_s, 1e-9))
+        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, 0.1 / max(self.speed_px_s, 1e-9))
 
 
 class RowSpeeds(NamedTuple):
