@@ -50,7 +50,11 @@ from polhode.geometry.lie import Array
 
 
 def estimate_levels(state: EstimatorState, history: History) -> None:
-    """Set accel_psd and torque_psd to the means of their posterior."""
+    """Set accel_psd and torque_psd to what their posterior allows: a standard deviation above the means.
+
+    At most to the stated ones, unless the means are above. An inertia that is off by sigmas can hide a
+    disturbance.
+    """
     vision = history.vision(state.active, state.condensed()).quadratic
     x = history.vector(state.active.constants)
 
@@ -65,7 +69,10 @@ def estimate_levels(state: EstimatorState, history: History) -> None:
             return np.inf
         return solution.cost + steps.half_log_det + float(np.log(np.diagonal(factor)).sum())
 
-    state.disturbances = DisturbanceLevels(*posterior(state.level_prior, minus_log_evidence).psd)
+    found = posterior(state.level_prior, minus_log_evidence)
+    levels = zip(found.psd, found.decades, state.level_prior.stated, strict=True)
+    allowed = (max(psd, min(psd * 10.0**decades, stated)) for psd, decades, stated in levels)
+    state.disturbances = DisturbanceLevels(*allowed)
 
 
 def estimate_noise(state: EstimatorState) -> None:

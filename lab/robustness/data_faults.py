@@ -114,7 +114,7 @@ def main(
             if name not in known:
                 raise SystemExit(f"{name}: there are only {', '.join(known)}")
     cases: list[Case] = [{"body": body, "fault": fault} for body in bodies for fault in faults]
-    measure = Measure(folder, keep)
+    measure = Measure(folder, keep, 14 if short else None)
     print_tables(measured(record, cases) if table else complete(record, cases, measure, workers))
 
 
@@ -124,12 +124,15 @@ class Measure:
 
     folder: Path
     keep: bool
+    pairs: int | None = None
+    """Of each sequence; None: all"""
 
     def __call__(self, case: Case) -> Case:
         """The row of a case."""
         body, fault = case["body"], FAULTS[case["fault"]]
         with _alone(self.folder / body):
             recording = fault.render(body, self.folder / body / "rendered")
+        recording = recording.kept(np.arange(len(recording))[: self.pairs])
         if fault.change is not None:
             seed = crc32(f"{body} {case['fault']}".encode())
             recording = fault.change(recording, np.random.default_rng(seed))
