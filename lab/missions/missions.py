@@ -30,6 +30,7 @@ from lab.robustness.judge import OUTCOMES, outcome_of
 
 RECORD = RECORDS / "missions"
 Half = Literal["all", "chosen", "held back"]
+MESH = ("within_1_sigma", "within_3_sigma")
 
 
 def main(
@@ -124,6 +125,14 @@ def print_consistency(lines: Sequence[Case]) -> None:
             rows.append([title, *(_pooled_cell(some, quantity) for quantity in QUANTITIES)])
     print("\nmean squared error over its expectation in its band (within three sigma [%])\n")
     print_table(("missions", *QUANTITIES), rows, right_from=1)
+    inside = [each["inside"] for line in lines for each in line.get("intervals", {}).values()]
+    shares = [[line["mesh"][key] for line in lines if line.get("mesh")] for key in MESH]
+    within = " and ".join(f"{100.0 * np.median(share):.1f}" for share in shares if share)
+    print(
+        f"\nintervals with the truth: {sum(inside)} of {len(inside)}; of the vertices of the median mesh",
+        end=" ",
+    )
+    print(f"{within} % are within one and three of their sigmas")
 
 
 def _pooled_cell(lines: Iterable[Case], quantity: str) -> str:
