@@ -4,7 +4,6 @@ In: missions that are drawn, half of their bodies held back from every choice. O
 
     missions        the command: flies, judges, prints
     draw            the set: bodies, motions, lights, rigs, inspectors
-    fly             one mission: simulated, run
     judgement       one run: verdict, errors, consistency, intervals, mesh, time of the checks
     predictions     its predictions against what came
     consistency     normalised squared errors and coverage, of one run and pooled

@@ -12,25 +12,33 @@ docs/trust.md explains them.
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from tyro.conf import arg
 
 from lab.command import LIGHT, RECORDS, ROOT, Record, Short, Workers, command
 from lab.missions.consistency import QUANTITIES, holds, pooled
-from lab.missions.draw import MISSIONS, TUNED_DRAW, mission
-from lab.missions.fly import fly
+from lab.missions.draw import MISSIONS, TUNED_DRAW, Mission, mission
+from lab.missions.judgement import judgement
 from lab.missions.predictions import AHEAD_S, PARTS
 from lab.presentation import print_table
 from lab.record import Case, complete, measured
 from lab.robustness.judge import OUTCOMES, outcome_of
+from polhode.config.loader import load_config
+from polhode.pipeline.run import run
+from polhode.runtime.errors import RunFailure
+from polhode.runtime.progress import Silent
+from polhode.simulation.dataset.sequence import plan_sequence, write_sequence
 
 RECORD = RECORDS / "missions"
 Half = Literal["all", "chosen", "held back"]
 MESH = ("within_1_sigma", "within_3_sigma")
+PICTURES = {"pictures.views": False, "pictures.animation": False, "mapping.levels": (), "runtime.workers": 1}
+"""What no judgement needs"""
 
 
 def main(
@@ -74,6 +82,21 @@ class Measure:
         if not self.short:
             return fly(flown, place)
         return fly(flown.beginning(8), self.folder / "short", LIGHT)
+
+
+def fly(flown: Mission, folder: Path, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The row of a mission; its sequence and run remain in ``folder`` and are used again.
+
+    settings: beside those of the default configuration.
+    """
+    sequence, out = folder / "sequence", folder / "run"
+    if not (sequence / "mav0").is_dir():
+        write_sequence(plan_sequence(flown.scene, flown.seed), sequence, Silent())
+    if not (out / "summary.json").is_file():
+        # summary.json says why it failed
+        with suppress(RunFailure):
+            run(load_config(None, PICTURES | (settings or {})), sequence, out, Silent())
+    return judgement(out, sequence, flown.scene.body.size_m)
 
 
 def print_outcomes(lines: Sequence[Case]) -> None:
