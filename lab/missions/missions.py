@@ -30,6 +30,7 @@ from lab.record import Case, complete, measured
 from lab.robustness.judge import OUTCOMES, outcome_of
 from polhode.config.loader import load_config
 from polhode.pipeline.run import run
+from polhode.run_directory.check_table import CHECK_TABLE
 from polhode.runtime.errors import RunFailure
 from polhode.runtime.progress import Silent
 from polhode.simulation.dataset.sequence import plan_sequence, write_sequence
@@ -39,6 +40,8 @@ Half = Literal["all", "chosen", "held back"]
 MESH = ("within_1_sigma", "within_3_sigma")
 PICTURES = {"pictures.views": False, "pictures.animation": False, "mapping.levels": (), "runtime.workers": 1}
 """What no judgement needs"""
+INCOMPLETE = "right, data incomplete"
+"""A right run that is doubted because most pairs are lost, or the data leave the rotation open"""
 
 
 def main(
@@ -105,8 +108,9 @@ def print_outcomes(lines: Sequence[Case]) -> None:
     for name in ("half", "family", "motion", "light", "rig", "inspector"):
         for value in dict.fromkeys(line["case"][name] for line in lines):
             some = [outcome(line) for line in lines if line["case"][name] == value]
-            rows.append([f"{name} {value}", len(some), *(some.count(each) or "" for each in OUTCOMES)])
-    print_table(("missions", "number", *OUTCOMES), rows, right_from=1)
+            counts = (some.count(each) or "" for each in (*OUTCOMES, INCOMPLETE))
+            rows.append([f"{name} {value}", len(some), *counts])
+    print_table(("missions", "number", *OUTCOMES, INCOMPLETE), rows, right_from=1)
     print()
     doubtful = [line for line in lines if outcome(line) != "right"]
     print_table(
@@ -135,8 +139,10 @@ def doubts(line: Case) -> list[str]:
 
 
 def outcome(line: Case) -> str:
-    """One of OUTCOMES."""
-    return outcome_of(line | {"wrong": wrongs(line), "warnings": []})
+    """One of OUTCOMES, or INCOMPLETE."""
+    found = outcome_of(line | {"wrong": wrongs(line), "warnings": []})
+    is_incomplete = {CHECK_TABLE[key].name for key in ("frames", "rotation")} & {*doubts(line)}
+    return INCOMPLETE if found == OUTCOMES[3] and is_incomplete else found
 
 
 def print_consistency(lines: Sequence[Case]) -> None:

@@ -35,8 +35,11 @@ MIN_STRETCHES = 6
 MIN_FRAMES = 4
 """Frames on either side of a step."""
 CLEAR_SIGMAS = 5.0
-"""A step of the rows or a delay is significant above this number of standard deviations; a step of the roll,
-which is 2.4 at most on undisturbed sequences, above four."""
+"""A step of the rows or of the roll, or a delay, is significant above this number of standard deviations."""
+CELL_PX = 24.0
+"""Matches of a slow target are the same ones in all frames: those of a square of this size count once."""
+MAX_ALIKE = 0.9
+"""Largest correlation of successive frames that is believed"""
 MIN_SCATTER_PX = 0.02
 """Of the rows' offsets within a frame"""
 EXCHANGED_SHARE = 0.7
@@ -72,14 +75,14 @@ def rig_checks(
         )
     ]
     middle_px, slope, sigma_middle_px, sigma_slope = row_lines(matches)
-    for key, step, clear, unit in (
-        ("step of rows", largest_step(middle_px, sigma_middle_px), CLEAR_SIGMAS, 1.0),
-        ("step of roll", largest_step(slope, sigma_slope), 4.0, np.rad2deg(1.0)),
+    for key, step, unit in (
+        ("step of rows", largest_step(middle_px, sigma_middle_px), 1.0),
+        ("step of roll", largest_step(slope, sigma_slope), np.rad2deg(1.0)),
     ):
         if step is None:
             checks.append(make_check(key, None))
             continue
-        limit = max(CHECK_TABLE[key].limit or 0.0, unit * (clear * step.sigma))
+        limit = max(CHECK_TABLE[key].limit or 0.0, unit * (CLEAR_SIGMAS * step.sigma))
         degrees = np.rad2deg(abs(step.size) / focal_px)
         facts = {"step_px": step.size, "from_s": time_s[step.place], "degrees": degrees}
         checks.append(make_check(key, unit * abs(step.size), limit, **facts))
@@ -143,6 +146,8 @@ def largest_step(values: Array, sigma: Array) -> Step | None:
 
     NaN do not count; None where there are too few. The sigma is that of a difference of medians, by the
     sigmas or the scatter where it is larger; a few values may agree by chance, so at least that of all.
+    Successive frames show the same landmarks: the correlation of their values makes them fewer, as of a
+    first-order autoregressive process.
     """
     known = np.flatnonzero(np.isfinite(values))
     v, s = values[known], sigma[known]
@@ -152,11 +157,21 @@ def largest_step(values: Array, sigma: Array) -> Step | None:
         residuals = np.abs(v - np.repeat(medians, (n, len(known) - n))) / s
         if residuals.sum() < least:
             least, sigmas = float(residuals.sum()), []
+            alike = _correlation_of_successive((v - np.repeat(medians, (n, len(known) - n))) / s)
+            fewer = np.sqrt((1.0 + alike) / (1.0 - alike))
             for side in (slice(None, n), slice(n, None)):
                 scatter = 1.4826 * float(max(np.median(residuals[side]), np.median(residuals)))
                 sigmas.append(1.25 * max(scatter, 1.0) / float(np.sqrt(np.sum(1.0 / s[side] ** 2))))
-            best = Step(int(known[n]), medians[1] - medians[0], float(np.linalg.norm(sigmas)))
+            best = Step(int(known[n]), medians[1] - medians[0], float(fewer * np.linalg.norm(sigmas)))
     return best
+
+
+def _correlation_of_successive(residuals: Array) -> float:
+    """Of residuals (n,) from 0 to MAX_ALIKE; outliers count like three times the median."""
+    limit = 3.0 * float(np.median(np.abs(residuals))) + 1e-12
+    clipped = np.clip(residuals, -limit, limit)
+    found = float(clipped[1:] @ clipped[:-1] / max(float(clipped @ clipped), 1e-12))
+    return min(max(found, 0.0), MAX_ALIKE)
 
 
 @dataclass(frozen=True)
@@ -233,7 +248,7 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
 
     What an imperfect calibration explains is left out: offsets that depend on the place in the image, to
     second order, and on the disparity. The sigma treats stretches of frames as one observation each, of the
-    length that makes it largest: neighbouring frames show the same landmarks.
+    length that makes it largest, or parts of the image: neighbouring frames show the same landmarks.
     """
     if not parts:
         return None
@@ -254,5 +269,7 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
     by_frame = np.bincount(frame[good], x0[good] * residual[good])
     lengths = 2 ** np.arange(int(np.log2(max(len(by_frame) // MIN_STRETCHES, 1))) + 1)
     sums = [np.add.reduceat(by_frame, np.arange(0, len(by_frame), length)) for length in lengths]
+    cell = np.unique(np.floor(uvd_px[good, :2] / CELL_PX), axis=0, return_inverse=True)[1].ravel()
+    sums.append(np.bincount(cell, x0[good] * residual[good]))
     sigma_s = float(max(np.sqrt(np.sum(each**2)) for each in sums) / np.sum(x0[good] ** 2))
     return CameraDelay(-slope, sigma_s, float(np.std(x0[good])))

@@ -161,6 +161,19 @@ def test_steps_need_frames_on_both_sides_clear_values_and_count_by_sigmas() -> N
     assert abs(blind.size) < 4.0 * blind.sigma
 
 
+def test_successive_frames_that_are_alike_make_no_step() -> None:
+    """A first-order autoregressive process of unit variance, as of landmarks that stay for many frames."""
+    sigmas, alike = [], 0.8
+    for seed in range(60):
+        values = np.random.default_rng(seed).normal(size=40)
+        for k in range(1, 40):
+            values[k] = alike * values[k - 1] + np.sqrt(1.0 - alike**2) * values[k]
+        found = largest_step(values, np.ones(40))
+        assert found is not None
+        sigmas.append(abs(found.size) / found.sigma)
+    assert max(sigmas) < 5.0
+
+
 @pytest.mark.parametrize("factor", [0.97, 1.03])
 def test_a_wrong_focal_length_is_named_with_its_size(sequence: SyntheticSequence, factor: float) -> None:
     rig = sequence.tracks.rig
