@@ -12,7 +12,7 @@ What no image can show is in docs/trust.md.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +36,9 @@ MIN_FRAMES = 4
 """Frames on either side of a step."""
 CLEAR_SIGMAS = 5.0
 """A step of the rows or of the roll, or a delay, is significant above this number of standard deviations."""
-CELL_PX = 24.0
-"""Matches of a slow target are the same ones in all frames: those of a square of this size count once."""
+LEAST_PX, OF_VIEW_PX, VIEW_RAD = 0.1, 0.25, 0.5
+"""Rows that a delay must displace: what the distortion of a good calibration may leave, and what matches on a
+shaded surface differ by with the direction of a camera, alike until the target has turned by VIEW_RAD."""
 MAX_ALIKE = 0.9
 """Largest correlation of successive frames that is believed"""
 MIN_SCATTER_PX = 0.02
@@ -182,16 +183,18 @@ class CameraDelay:
     sigma_s: float
     speed_px_s: float
     """Scatter of the rows' velocities beside what a calibration can explain"""
+    turn_rad: float = np.inf
+    """By which the target has turned"""
 
     @property
     def limit_s(self) -> float:
         """A delay beyond it is a fault.
 
-        It must displace rows by 0.1 px: as much the distortion of a good calibration may leave, and a slowly
-        turning target makes a delay of it.
+        A slowly turning target makes a long delay of rows that differ for another reason.
         """
         trigger_s = 1e-3 * (CHECK_TABLE["camera delay"].limit or 0.0)
-        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, 0.1 / max(self.speed_px_s, 1e-9))
+        displaced_px = max(LEAST_PX, OF_VIEW_PX / np.sqrt(max(self.turn_rad / VIEW_RAD, 1.0)))
+        return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, displaced_px / max(self.speed_px_s, 1e-9))
 
 
 class RowSpeeds(NamedTuple):
@@ -228,7 +231,9 @@ def camera_delay(context: RunContext, matches: Matches, estimate: MotionEstimate
             return np.asarray(v_N @ X_NR[k][:3, :3] - camera_v - np.cross(camera_w, p_R))
 
         found.append(row_speeds(rows, context.rig, k, velocity))
-    return delay_by_rows(found)
+    delay = delay_by_rows(found)
+    w_rad_s = np.linalg.norm(estimate.w_P, axis=1)
+    return None if delay is None else replace(delay, turn_rad=float(np.trapezoid(w_rad_s, time_s)))
 
 
 def row_speeds(
@@ -248,7 +253,7 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
 
     What an imperfect calibration explains is left out: offsets that depend on the place in the image, to
     second order, and on the disparity. The sigma treats stretches of frames as one observation each, of the
-    length that makes it largest, or parts of the image: neighbouring frames show the same landmarks.
+    length that makes it largest: neighbouring frames show the same landmarks.
     """
     if not parts:
         return None
@@ -269,7 +274,5 @@ def delay_by_rows(parts: Sequence[RowSpeeds]) -> CameraDelay | None:
     by_frame = np.bincount(frame[good], x0[good] * residual[good])
     lengths = 2 ** np.arange(int(np.log2(max(len(by_frame) // MIN_STRETCHES, 1))) + 1)
     sums = [np.add.reduceat(by_frame, np.arange(0, len(by_frame), length)) for length in lengths]
-    cell = np.unique(np.floor(uvd_px[good, :2] / CELL_PX), axis=0, return_inverse=True)[1].ravel()
-    sums.append(np.bincount(cell, x0[good] * residual[good]))
     sigma_s = float(max(np.sqrt(np.sum(each**2)) for each in sums) / np.sum(x0[good] ** 2))
     return CameraDelay(-slope, sigma_s, float(np.std(x0[good])))
