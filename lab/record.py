@@ -21,7 +21,6 @@ from typing import Any
 from lab.command import ROOT
 from polhode.runtime.errors import one_line
 from polhode.runtime.threads import limit_threads
-from polhode.studies.store import Record as StoredRecord
 from polhode.studies.store import Store
 
 Case = dict[str, Any]
@@ -101,22 +100,13 @@ def measured(record: Path, cases: Iterable[Case]) -> list[Case]:
     return [done[key] for key in map(_key, cases) if key in done]
 
 
-def forget(record: Path, unwanted: Callable[[Case], bool]) -> None:
-    """Remove the lines of such cases from the record, so that they are measured again."""
-    store = Store(record)
-    store.pack(without={each["address"] for each in store.records() if unwanted(_case_of(each))})
-
-
 def lines_of(record: Path) -> Iterator[Case]:
     """All cases that the record has, with their results."""
     for each in Store(record).records():
         if each["status"] == DONE:
-            yield {"case": _case_of(each), **each["measured"]}
-
-
-def _case_of(record: StoredRecord) -> Case:
-    settings = record["settings"].items()
-    return {key.removeprefix("case."): value for key, value in settings if value is not None}
+            settings = each["settings"].items()
+            case = {key.removeprefix("case."): value for key, value in settings if value is not None}
+            yield {"case": case, **each["measured"]}
 
 
 def _key(case: Case) -> str:

@@ -123,7 +123,6 @@ BENCHMARKS = (
     Benchmark("bound", "monte_carlo.bound", "docs/accuracy.md", 2, short=""),
     Benchmark("window", "monte_carlo.window", "docs/live.md", 30,
               short="--short --record runs/short/records/window"),
-    Benchmark("window_estimated", "monte_carlo.window", "docs/live.md", 20, "--seeds 3 --estimated", None),
     Benchmark("disturbances", "monte_carlo.disturbances", "docs/backend.md", 60,
               short="--short --record runs/short/records/disturbances"),
     Benchmark("robustness", "monte_carlo.robustness", "docs/accuracy.md", 60,

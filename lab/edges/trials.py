@@ -11,7 +11,6 @@ from lab.edges.views import (
     NAMES,
     SOLIDS,
     EdgeViews,
-    ViewOptions,
     edge_body,
     edge_rig,
     perturbed,
@@ -80,7 +79,7 @@ def trials_of(case: dict[str, Any]) -> Trials:
 def views_of(body: str, rich: bool) -> tuple[EdgeViews, EdgeModel]:
     """Of a body in matte grey, or with its own surface."""
     target = edge_body(body, plain=not rich)
-    return EdgeViews(target, RIG, 3, ViewOptions(sensor=LENS)), edge_model(target.mesh)
+    return EdgeViews(target, RIG, 3, LENS), edge_model(target.mesh)
 
 
 def _jittered(X_RG: Array, o_G: Array, rng: np.random.Generator) -> Array:

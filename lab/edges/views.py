@@ -10,7 +10,7 @@ The seeds determine everything, and the number of an image its noise: views can 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -188,36 +188,22 @@ NAMES = (*SOLIDS, *KINDS)
 SUN_TO_EARTH_DEG = 100.0
 """Between Sun and Earth, on either side of the direction to the camera."""
 SUN_N = (0.0, 0.0, 1.0)
+EARTH = 0.35
+"""Radiance of its disc relative to a white surface in sunlight"""
 EARTH_N = (float(np.sin(np.deg2rad(SUN_TO_EARTH_DEG))), 0.0, float(np.cos(np.deg2rad(SUN_TO_EARTH_DEG))))
-
-
-@dataclass(frozen=True)
-class ViewOptions:
-    """Light and sensor of the views."""
-
-    earth: float = 0.35
-    """Radiance of the Earth's disc relative to a white surface in sunlight; 0: black shadows"""
-    sensor: config.Sensor = field(default_factory=config.Sensor)
-    """Blur, noise, gain; nothing moves while the shutter is open"""
 
 
 class EdgeViews:
     """A body, a camera and its sensor, ready to make images."""
 
-    def __init__(
-        self, target: EdgeBody, rig: RectifiedRig, seed: int, options: ViewOptions | None = None
-    ) -> None:
+    def __init__(self, target: EdgeBody, rig: RectifiedRig, seed: int, sensor: config.Sensor) -> None:
         """``seed`` determines the noise, together with the number of the view."""
-        chosen = options or ViewOptions()
-        self.target, self.rig = target, rig
-        self._seed, self._sensor = seed, chosen.sensor
+        self._seed, self._sensor = seed, sensor
         # four rays a pixel, shifted at random: on a grid, edges of some slopes are displaced as a whole
         render = config.Render.model_validate({"samples": 4, "bounces": 0, "scattered": True})
-        light = config.Light(sun=1.0, earth=chosen.earth, sun_direction_N=SUN_N, earth_direction_N=EARTH_N)
+        light = config.Light(sun=1.0, earth=EARTH, sun_direction_N=SUN_N, earth_direction_N=EARTH_N)
         section = config.Rig(width_px=rig.width_px, height_px=rig.height_px, focal_px=rig.focal_px)
-        scene = config.Scene(
-            body=target.config, light=light, rig=section, render=render, sensor=chosen.sensor
-        )
+        scene = config.Scene(body=target.config, light=light, rig=section, render=render, sensor=sensor)
         self._camera = Camera(rig.K, np.zeros(4), np.eye(4), rig.width_px, rig.height_px)
         self._renderer = Renderer(target.body, scene, 0)
 
@@ -227,10 +213,6 @@ class EdgeViews:
         picture = self._renderer.picture(self._camera, X_NC, X_NC @ X_CG)
         noise = np.random.default_rng([self._seed, 0xED6E, number])
         return np.asarray(expose(picture.level, self._sensor, noise), dtype=np.uint8)
-
-    def images(self, X_CG: Array, sun_C: Array) -> list[Grey]:
-        """Views (V, 4, 4), (V, 3), numbered from 0."""
-        return [self.image(X, sun, k) for k, (X, sun) in enumerate(zip(X_CG, sun_C, strict=True))]
 
 
 def lights_to_camera(sun_C: Array) -> Array:

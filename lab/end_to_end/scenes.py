@@ -1,10 +1,10 @@
 """Images to report on simulated scenes: errors, consistency and limits, the tables of docs/scenes.md.
 
-    python -m lab.end_to_end.scenes [CONFIG ...] [--page docs/scenes.md]
+    python -m lab.end_to_end.scenes [CONFIG ...]
 
 Scenes: configs/ts38.yaml and configs/scenes/ unless named. Sequences go to data/, runs with
 configs/default.yaml to runs/; what is there already is not made again, so that an interrupted benchmark goes
-on. ``--page`` puts the tables into the page in place of those that begin with the same line.
+on.
 
 First table: errors. Second: whether the sigmas are consistent (normalised squared errors over their
 expectation; share of the states' components within three sigma), the prediction 30 s ahead, and what limits
@@ -18,7 +18,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from lab.command import ROOT, command, evaluated_run
-from lab.presentation import Row, markdown_table
+from lab.presentation import Row, print_table
 
 ERRORS = (
     "scene | position [mm] | velocity [mm/s] | w [deg/s] | attitude [deg] | error k1 (sigma) | "
@@ -36,24 +36,21 @@ def main(
     run: Annotated[
         Path | None, arg(metavar="RUN", help="An evaluated run instead of those of scenes.")
     ] = None,
-    page: Annotated[Path | None, arg(help="Page whose tables are replaced.")] = None,
 ) -> None:
-    """Make what is missing, print the tables, put them into the page."""
+    """Make what is missing, print the tables."""
     scenes = configs or [ROOT / "configs/ts38.yaml", *sorted((ROOT / "configs/scenes").glob("*.yaml"))]
     runs = {each.stem: evaluated_run(each) for each in scenes} if run is None else {run.name: run}
     results = {
         name: (_content(each / "metrics.json"), _content(each / "summary.json"))
         for name, each in runs.items()
     }
-    text = "" if page is None else page.read_text(encoding="utf-8")
     for head, row in ((ERRORS, errors_row), (CONSISTENCY, consistency_row)):
         rows = [
             row(name, metrics, summary) if metrics else failed_row(name, head, summary)
             for name, (metrics, summary) in results.items()
         ]
-        table = markdown_table(head, rows)
-        print(f"\n{table}")
-        text = with_table(text, table)
+        print()
+        print_table(head, rows)
     shares = [
         share
         for metrics, _ in results.values()
@@ -62,24 +59,11 @@ def main(
     ]
     if shares:
         print(f"\nWithin three sigma over {len(results)} scenes: {sum(shares) / len(shares):.2%}")
-    if page is not None:
-        page.write_text(text, encoding="utf-8")
 
 
 def _content(file: Path) -> dict[str, Any]:
     """Of a JSON file; nothing where there is none, as of a run that failed."""
     return dict(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else {}
-
-
-def with_table(page: str, table: str) -> str:
-    """The page with this table in place of the one that begins with the same line; unchanged without one."""
-    head = table.partition("\n")[0]
-    before, found, rest = page.partition(head)
-    if not found:
-        return page
-    lines = rest.split("\n")
-    end = next((n for n, line in enumerate(lines[1:], start=1) if not line.startswith("|")), len(lines))
-    return "\n".join([before + table, *lines[end:]])
 
 
 def failed_row(name: str, head: str, summary: dict[str, Any]) -> Row:

@@ -10,8 +10,7 @@ printed beside them. "Of the processor" is what the main process took.
 
 Errors are root mean squares over the second half of the frames: of the states as they were known live, of the
 causal window of the batch run, whose tracks were found with all frames, and of the final answer. "r / sigma"
-is the error of the position over the final answer's standard deviations. NEES is of the live states; right
-sigmas give the number of components, and a single frame lies within the band in 95 % of cases.
+is the error of the position over the final answer's standard deviations.
 """
 
 import os
@@ -39,15 +38,13 @@ from polhode.config.loader import load_config
 from polhode.pipeline.live.run_live import open_source, run_live
 from polhode.pipeline.run import run
 from polhode.records.dataset import open_sequence
-from polhode.records.metrics import NEES, States, expected_range, motion_errors, nees, state_errors, truth_at
+from polhode.records.metrics import States, motion_errors, truth_at
 from polhode.report.evaluation import truth_of_frames
-from polhode.run_directory.archives import read_online
 from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.runtime.progress import Silent
 
 SCENES = ("ts38", "scenes/asteroid", "scenes/major_axis", "scenes/pure_spin")
 STAGES = ("features", "matching", "window")
-QUANTITIES = ("position", "velocity", "attitude", "angular_velocity")
 SAME = ("trajectory.csv", "landmarks.ply", "mesh.ply")
 """Files by which the final answer of a stream is compared with that of a batch run."""
 TIMES = (
@@ -57,7 +54,6 @@ TIMES = (
 ERRORS = (
     "sequence | estimate | position [mm] | velocity [mm/s] | w [deg/s] | r / sigma | same bytes as the batch"
 )
-NEES_HEAD = "sequence | live states: NEES r | v | attitude | w | band of each"
 
 
 def main(
@@ -78,8 +74,6 @@ def main(
     print_table(TIMES, map(times_row, lines))
     print("\nSeconds of the stages: median (95 % are below).\n")
     print_table(ERRORS, [row for line in lines for row in error_rows(line)])
-    print()
-    print_table(NEES_HEAD, map(nees_row, lines))
 
 
 def measure(case: Case) -> Case:
@@ -110,7 +104,6 @@ def measure(case: Case) -> Case:
             "window of the batch": errors_of(batch_run / "trajectory_online.csv", source, final),
             "final": errors_of(live_run / "trajectory.csv", source, final),
         },
-        "nees": live_nees(live_run, source),
         "same": all((live_run / name).read_bytes() == (batch_run / name).read_bytes() for name in SAME),
         "film_s": float(stamps_s[-1] - stamps_s[0] + interval_s),
         "batch_s": batch_s,
@@ -141,25 +134,6 @@ def errors_of(file: Path, sequence: Path, final: Trajectory) -> list[float | Non
     ]
 
 
-def live_nees(run_folder: Path, sequence: Path) -> dict[str, float | None]:
-    """Mean NEES of the live states in the second half, over the frames where the quantity is determined."""
-    online = read_online(run_folder)
-    truth = None if online is None else truth_of_frames(sequence, online.timestamps_ns)
-    if online is None or truth is None:
-        return dict.fromkeys(QUANTITIES)
-    half = np.arange(len(online.timestamps_ns)) >= len(online.timestamps_ns) // 2
-    states = States(online.timestamps_ns, online.r_N, online.v_N, online.R_NP, online.w_P)
-    true_states = truth_at(truth, online.timestamps_ns)
-    errors = state_errors(states, true_states, motion_errors(states, true_states).half_turn)
-    found: dict[str, float | None] = {}
-    for n, name in enumerate(QUANTITIES):
-        block = slice(3 * n, 3 * n + 3)
-        covariance = online.covariance[:, block, block]
-        known = half & np.isfinite(np.diagonal(covariance, axis1=1, axis2=2)).all(axis=1)
-        found[name] = nees(errors[name][known], covariance[known]) if known.any() else None
-    return found
-
-
 def times_row(line: Case) -> list[str]:
     """Of the first table."""
     spread = [f"{middle:.3f} ({high:.3f})" for middle, high in line["seconds"].values()]
@@ -179,13 +153,6 @@ def error_rows(line: Case) -> list[list[str]]:
         ]
         for kind, errors in line["errors"].items()
     ]
-
-
-def nees_row(line: Case) -> list[str]:
-    """Of the third table."""
-    low, high = expected_range(NEES, "position") or (0.0, 0.0)
-    values = ("-" if line["nees"][name] is None else f"{line['nees'][name]:.2f}" for name in QUANTITIES)
-    return [_name(line), *values, f"{low:.2f} to {high:.2f}"]
 
 
 def _name(line: Case) -> str:

@@ -1,6 +1,6 @@
 """An hour of frames: time a frame and memory against the number of frames, and the answer of a long run.
 
-    python -m lab.live.long [--only tracks] [--frames 10000] [--short] [--record DIR]
+    python -m lab.live.long [--frames 10000] [--short] [--record DIR]
 
 Synthetic tracks: the sliding window over 10,000 frames of a tumbling body, whose landmarks return into view
 with each revolution. Rendered frames: the stream (features, matching, window) over the 2,000 small pairs of
@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 from tempfile import TemporaryDirectory
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import arg
@@ -48,17 +48,15 @@ ERRORS = {
     "error_k2": (1.0, "k2"),
     "error_com_mm": (1.0, "com mm"),
 }
-Kind = Literal["tracks", "rendered"]
 
 
 def main(
     frames: Annotated[int, arg(help="Frames of synthetic tracks.")] = 10_000,
     short: Short = False,
     record: Record = ROOT / "runs/records/long",
-    only: Annotated[Kind | None, arg(help="One of the two; else both.")] = None,
 ) -> None:
     """Measure what the record lacks, print the tables."""
-    kinds: list[Kind] = ["tracks"] if short else [only] if only else ["tracks", "rendered"]
+    kinds = ("tracks",) if short else ("tracks", "rendered")
     cases: list[Case] = [{"kind": kind, "frames": 12 if short else frames} for kind in kinds]
     # one after the other, each in its process: time and memory are measured
     for line in complete(record, cases, measure, 1, process_each=True):
@@ -78,14 +76,10 @@ def measure_window(n_frames: int) -> Case:
     window, curve = SlidingWindow(sequence.tracks.rig, config), Curve(n_frames)
     for measurements in frames_of(sequence.tracks):
         begin = time.process_time()
-        state = window.add(measurements)
+        window.add(measurements)
         spent = {"window": 1e3 * (time.process_time() - begin)}
         curve.add(spent, {"landmarks": len(window.state.landmarks.used)})
-    truth = sequence.truth
-    sigma = np.sqrt(np.concatenate([np.diag(state.cov_k), np.diag(state.covariance)[:3]]))
-    off = np.concatenate([state.k - [truth.k1, truth.k2], state.r_N - truth.r_N[-1]])
-    last = dict(zip(("k1", "k2", "x", "y", "z"), (off / sigma).tolist(), strict=True))
-    return {"parts": curve.parts, "restarts": window.restarts, "last": last}
+    return {"parts": curve.parts, "restarts": window.restarts}
 
 
 def measure_run() -> Case:
@@ -147,7 +141,7 @@ class Curve:
 
 
 def print_window(line: Case) -> None:
-    """The window's table, and its errors at the end."""
+    """The window's table."""
     print("\nThe sliding window over synthetic tracks\n")
     print_table(
         "frames | ms a frame | longest | MB | landmarks held | restarts",
@@ -157,8 +151,6 @@ def print_window(line: Case) -> None:
             for where, part in _shown(line)
         ),
     )  # fmt: skip
-    errors = ", ".join(f"{name} {value:.2g}" for name, value in line["last"].items())
-    print(f"\nErrors in sigmas after the last frame: {errors}.")
 
 
 def print_run(line: Case) -> None:

@@ -1,12 +1,11 @@
 """The sliding window against full smoothing of the same frames; growth of its time and memory.
 
-    python -m lab.monte_carlo.window [--seeds 5] [--workers 1] [--short] [--estimated]
-                                [--solver ipopt] [--record FILE] [--times FILE]
+    python -m lab.monte_carlo.window [--seeds 5] [--workers 1] [--short] [--record FILE] [--times FILE]
 
 Accuracy: sequences at the thesis's size. At some frames the window's causal state is compared with the last
 state of full smoothing of all frames up to then, started at the truth: the best possible estimate. Pixel
-and process noise are given; ``--estimated``: the window estimates both. RMSE over seeds and these frames; of
-com_G and of the five inertia parameters at the last frame.
+and process noise are given. RMSE over seeds and these frames; of com_G and of the five inertia parameters at
+the last frame.
 
 Growth: one sequence of 1,000 frames by each solver; ms on the clock, and of one core's own time in brackets,
 which does not count what else the machine does. Last, after how many frames IPOPT's optimum is the answer.
@@ -16,7 +15,7 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import arg
@@ -60,16 +59,13 @@ def main(
     seeds: Seeds = 5,
     workers: Workers = 1,
     short: Short = False,
-    estimated: Annotated[bool, arg(help="The window estimates both noises; else they are given.")] = False,
-    solver: Annotated[Literal["ipopt", "gauss_newton"], arg(help="Solver of the window.")] = "ipopt",
     record: Record = RECORD,
     times: Annotated[Path, arg(help="File of the times that were measured.")] = TIMES,
 ) -> None:
     """Measure what the record lacks, print the tables."""
-    mode = "estimated" if estimated else "given"
     scenes = SCENES[: 1 if short else None]
     cases: list[Case] = [
-        {"motion": motion, "process_noise": mode, "seed": seed, "solver": solver}
+        {"motion": motion, "process_noise": "given", "seed": seed, "solver": "ipopt"}
         for seed in range(1 if short else seeds)
         for motion in scenes
     ]
@@ -84,9 +80,7 @@ def main(
 def measure_accuracy(case: Case) -> Case:
     """One sequence: squared errors (frames, 6) of the window and of full smoothing."""
     sequence = generate(MOTIONS[case["motion"]], 9000 + case["seed"])
-    given = _config(MOTIONS[case["motion"]], "given", case["solver"])
-    unknown = Backend.model_validate({"window": {"solver": case["solver"]}})
-    config = given if case["process_noise"] == "given" else unknown
+    config = _config(MOTIONS[case["motion"]], case["solver"])
     window, online = SlidingWindow(sequence.tracks.rig, config), []
     X_NG = np.eye(4)
     for k, measurements in enumerate(frames_of(sequence.tracks)):
@@ -98,7 +92,7 @@ def measure_accuracy(case: Case) -> Case:
             online.append(
                 squares(sequence, k, X_NG, motion, state.com_G, (state.k[0], state.k[1], state.R_GP))
             )
-    return {"window": online, "smoothing": [smoothed(sequence, k, given) for k in FRAMES]}
+    return {"window": online, "smoothing": [smoothed(sequence, k, config) for k in FRAMES]}
 
 
 def smoothed(sequence: SyntheticSequence, k: int, config: Backend) -> list[float]:
@@ -178,7 +172,7 @@ def squares(
 def measure_growth(case: Case) -> Case:
     """One long sequence: milliseconds of each step, and the size of the window and the process."""
     scene = replace(GROWTH, frames=case["frames"])
-    config = _config(scene, "given", case["solver"])
+    config = _config(scene, case["solver"])
     sequence = generate(scene, 9)
     window, wall_ms, cpu_ms, sizes = SlidingWindow(sequence.tracks.rig, config), [], [], {}
     for k, measurements in enumerate(frames_of(sequence.tracks), start=1):
@@ -200,9 +194,9 @@ def measure_growth(case: Case) -> Case:
     return {"wall_ms": wall_ms, "cpu_ms": cpu_ms, "held": sizes, "answers": answers}
 
 
-def _config(scene: SyntheticScene, process_noise: str, solver: str) -> Backend:
+def _config(scene: SyntheticScene, solver: str) -> Backend:
     stated = {"accel_psd": scene.accel_psd, "torque_psd": scene.torque_psd}
-    return Backend.model_validate({"process_noise": process_noise, "window": {"solver": solver}, **stated})
+    return Backend.model_validate({"process_noise": "given", "window": {"solver": solver}, **stated})
 
 
 def ratios(lines: list[Case]) -> Array:

@@ -1,6 +1,6 @@
 """Which tests notice each of the deliberate faults.
 
-Run: ``python -m lab.mutation.catch [--only TEXT] [--jobs 2] [--short] [-o runs/faults.md]``. Half an hour.
+Run: ``python -m lab.mutation.catch [--only TEXT] [--jobs 2] [--short]``. Half an hour.
 
 Each fault goes alone into a copy of the repository, and the tests that it names run until the first one
 fails. That test must pass without the fault, else it counts for nothing.
@@ -63,11 +63,10 @@ def main(
     tree: Path = ROOT,
     only: str = "",
     jobs: int = 1,
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="MD")] = None,
     short: Annotated[bool, arg(help="Only whether code and tests of each fault are there.")] = False,
 ) -> None:
     """tree: the repository whose tests are tried; only: faults whose file or kind contains this text; jobs:
-    copies of the repository that are tested at a time; output: a file for the table as well."""
+    copies of the repository that are tested at a time."""
     faults = [Fault(**each) for each in yaml.safe_load(FAULTS.read_text())]
     chosen = [fault for fault in faults if only in fault.file or only in fault.kind]
     if short:
@@ -79,10 +78,7 @@ def main(
         sys.exit(bool(lost))
     with tempfile.TemporaryDirectory(prefix="polhode-faults-") as folder:
         outcomes = try_all(chosen, tree.resolve(), Path(folder), jobs)
-    text = table(outcomes)
-    print(text)
-    if output:
-        output.write_text(text + "\n")
+    print(table(outcomes))
     sys.exit(any(not outcome.caught_by for outcome in outcomes))
 
 

@@ -103,7 +103,6 @@ def main(
     record: Record = RECORD,
     folder: Annotated[Path, arg(help="Where sequences are kept while they are needed.")] = ROOT
     / "runs/data_faults",
-    keep: Annotated[bool, arg(help="Keep the changed sequences and the runs, a few MB each.")] = False,
     table: Annotated[bool, arg(help="Only print the table of what the record has.")] = False,
 ) -> None:
     """Measure what the record lacks, print the tables."""
@@ -114,7 +113,7 @@ def main(
             if name not in known:
                 raise SystemExit(f"{name}: there are only {', '.join(known)}")
     cases: list[Case] = [{"body": body, "fault": fault} for body in bodies for fault in faults]
-    measure = Measure(folder, keep, 14 if short else None)
+    measure = Measure(folder, 14 if short else None)
     print_tables(measured(record, cases) if table else complete(record, cases, measure, workers))
 
 
@@ -123,7 +122,6 @@ class Measure:
     """One run, judged."""
 
     folder: Path
-    keep: bool
     pairs: int | None = None
     """Of each sequence; None: all"""
 
@@ -146,13 +144,12 @@ class Measure:
         except RunFailure:
             code = 1
         except InputError as error:
-            shutil.rmtree(place, ignore_errors=not self.keep)
+            shutil.rmtree(place, ignore_errors=True)
             refused = {"status": "failed", "warnings": [str(error)], "claims": {}, "wrong": []}
             return {"exit": 2, **refused, "seconds": round(time.perf_counter() - start, 1)}
         seconds = time.perf_counter() - start
         row = {"exit": code, **judged(place / "run", recording), "seconds": round(seconds, 1)}
-        if not self.keep:
-            shutil.rmtree(place)
+        shutil.rmtree(place)
         return row
 
 

@@ -1,6 +1,6 @@
 """Fuzzing of every reader of files: inputs tried, and those that end neither in success nor in one line.
 
-    python -m lab.robustness.fuzzing [TARGET ...] [--seconds 600] [--again]
+    python -m lab.robustness.fuzzing [TARGET ...] [--seconds 600]
 
 Targets of one format (YAML, CSV, PLY ...) go through one reader of polhode, and differ in what it requires
 of the content. Each format has ten minutes, which its targets divide; --seconds gives each target so much.
@@ -8,8 +8,7 @@ of the content. Each format has ten minutes, which its targets divide; --seconds
 Each target runs in a process of its own. An input may take 5 s of processor time and 1 GiB of memory, may
 print nothing and may touch nothing but the files that are read. Whatever else it does is a finding: it is
 stored, with its traceback, under runs/fuzzing/TARGET, one input for each place in the code. With --short
-every reader gets its corpus and a few seeded mutations. Targets of the record are not fuzzed again; --again
-removes them from it first.
+every reader gets its corpus and a few seeded mutations. Targets of the record are not fuzzed again.
 """
 
 import json
@@ -28,7 +27,7 @@ from tyro.conf import Positional, arg
 
 from lab.command import RECORDS, ROOT, Record, Short, command
 from lab.presentation import print_table
-from lab.record import complete, forget
+from lab.record import complete
 from lab.robustness.fuzz_check import LIMIT_BYTES, Checker, Finding
 from lab.robustness.fuzz_mutation import mutated
 from lab.robustness.fuzz_targets import TARGETS, share_of, target_named
@@ -54,7 +53,6 @@ def main(
     seconds: Annotated[
         float | None, arg(help="Time of each target [s]; its share of its format's, unless given.")
     ] = None,
-    again: Annotated[bool, arg(help="Measure targets again that the record has.")] = False,
     record: Record | None = None,
 ) -> None:
     """Fuzz the targets one after another and print the table."""
@@ -64,8 +62,6 @@ def main(
     if short:
         sys.exit(_short(names))
     path = record or (RUNS / "short_record" if seconds else RECORDS / "fuzzing")
-    if again:
-        forget(path, lambda case: case["target"] in names)
     cases = [{"target": name, "seconds": seconds or FORMAT_S * share_of(name)} for name in names]
     lines = complete(path, cases, fuzz, workers=1)
     formats: dict[str, list[dict[str, Any]]] = {}

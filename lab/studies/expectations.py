@@ -6,9 +6,8 @@ Without folders, of every study in docs/study_results but that of the fit. Count
 answer whose size in the image, disparity, turn, pairs and Sun are within the ranges of the rules, and that
 have nothing of which the rules know nothing: a lamp, another contrast of the texture, stronger noise, a body
 of revolution.
-Printed is how many of their errors are inside the band of 90 %, with the interval of Clopper and Pearson,
-and the median of the error over the one that is expected. Runs of one study share bodies and motions, so
-that the interval is rather too narrow.
+Printed is for each error how many are inside the band of 90 %, and the median of the error over the one that
+is expected. Runs of one study share bodies and motions, so that its interval is rather too narrow.
 """
 
 from pathlib import Path
@@ -19,8 +18,8 @@ from scipy import stats
 from tyro.conf import Positional, arg
 
 from lab.command import ROOT, command
-from lab.presentation import Row, print_table
-from lab.studies.confidence import median, share_text
+from lab.presentation import print_table
+from lab.studies.confidence import median
 from lab.studies.random_scenes import FAMILIES
 from lab.studies.study_results import Results, read_results
 from polhode.config import Config
@@ -44,12 +43,12 @@ def main(
         Path | None, arg(metavar="FILE", help="Rules; those of this version if left out.")
     ] = None,
 ) -> None:
-    """Print a row for each study and error."""
-    known, rows = read_rules(rules), []
-    for folder in folders or other_studies():
-        rows += compared(known, read_results(folder))
-    columns = "study | runs | error | inside the band | error over expected"
-    print_table(columns, rows, right_from=3)
+    """Print a row for each study."""
+    known = read_rules(rules)
+    rows = [compared(known, read_results(folder)) for folder in folders or other_studies()]
+    print_table(
+        ["study", *(WORDS.get(each.quantity, each.quantity) for each in known.rules)], filter(None, rows)
+    )
 
 
 def other_studies() -> list[Path]:
@@ -92,22 +91,18 @@ def within(rules: Rules, results: Results) -> dict[int, Observation]:
     }
 
 
-def compared(rules: Rules, results: Results) -> list[Row]:
-    """A row for each error that some run within the ranges has; none where no run is within them."""
+def compared(rules: Rules, results: Results) -> list[str]:
+    """A row with a cell for each error; none where no run is within the ranges."""
     seen = {k: each for k, each in within(rules, results).items() if each.pairs <= rules.most_pairs}
-    rows: list[Row] = []
+    row = []
     for number, rule in enumerate(rules.rules):
         errors = rule.factor * results.column(rule.quantity)
         own = [k for k in seen if errors[k] > 0.0]
-        if own:
-            bands = [expected(rules, seen[k])[number] for k in own]
-            inside = [band.low <= errors[k] <= band.high for k, band in zip(own, bands, strict=True)]
-            over = np.array([errors[k] / band.value for k, band in zip(own, bands, strict=True)])
-            name = WORDS.get(rule.quantity, rule.quantity)
-            rows.append(
-                [results.title, len(own), name, share_text(sum(inside), len(own)), median(over).text()]
-            )
-    return rows
+        bands = [expected(rules, seen[k])[number] for k in own]
+        inside = sum(band.low <= errors[k] <= band.high for k, band in zip(own, bands, strict=True))
+        over = np.array([errors[k] / band.value for k, band in zip(own, bands, strict=True)])
+        row.append(f"{inside} of {len(own)}, {median(over).text()}" if own else "-")
+    return [results.title, *row] if seen else []
 
 
 def observation_of_scene(config: Config) -> Observation | None:

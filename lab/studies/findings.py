@@ -1,16 +1,13 @@
 """What the project's studies say, in tables with intervals of 95 %, from the tables in docs/study_results.
 
-    python -m lab.studies.findings [NAME ...] [--folder DIR] [--page FILE]
+    python -m lab.studies.findings [NAME ...]
 
-Without a name, of every study that is there. ``--folder``: where the folders of the studies are. A finding
-may need two studies. The page lab/studies/README.md quotes what is printed; ``--page`` replaces its
-tables, each below its title, in the section that shows the command of the finding.
+Without a name, of every study that is there. A finding may need two studies. The page lab/studies/README.md
+quotes what is printed.
 """
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -41,13 +38,11 @@ from lab.studies.study_results import (
     prediction,
     read_results,
 )
-from polhode.files.atomic import write_text
 from polhode.geometry.lie import Array, Bools
 from polhode.records.metrics import COMPONENTS, NEES, expected_range
 from polhode.studies.page.write_page import QUANTITIES
 from polhode.studies.table import TABLE
 
-COMMAND = "python -m lab.studies.findings"
 RESULTS = ROOT / "docs" / "study_results"
 TURNS_DEG = (0.0, 9.0, 18.0, 36.0, 72.0, 180.0, 360.0)
 """Ends of the groups of turns between two pairs"""
@@ -63,38 +58,18 @@ OF_IMAGES = (ATTITUDE, RATE, POSITION, SURFACE, COMPLETION)
 
 def main(
     names: Positional[Annotated[tuple[str, ...], arg(metavar="NAME", help="Of findings.")]] = (),
-    folder: Annotated[Path, arg(metavar="DIR", help="Of the studies' folders.")] = RESULTS,
-    page: Annotated[Path | None, arg(metavar="FILE", help="Markdown with tables of findings.")] = None,
 ) -> None:
-    """Print the tables, and write them into a page that has them."""
+    """Print the tables."""
     if unknown := [name for name in names if name not in FINDINGS]:
         raise SystemExit(f"{unknown[0]}: no such finding; there are: {', '.join(FINDINGS)}")
-    text = "" if page is None else page.read_text()
     for name in names or FINDINGS:
         find, studies = FINDINGS[name]
-        there = [folder / each for each in studies if (folder / each / TABLE).is_file()]
+        there = [RESULTS / each for each in studies if (RESULTS / each / TABLE).is_file()]
         if len(there) < len(studies) and (name in names or find is not every_run):
-            raise SystemExit(f"{name}: a table of {', '.join(studies)} is missing in {folder}")
+            raise SystemExit(f"{name}: a table of {', '.join(studies)} is missing in {RESULTS}")
         print(f"## {name}\n")
-        parts = find(*map(read_results, there))
-        for part in parts:
+        for part in find(*map(read_results, there)):
             print(f"### {part.title}\n\n{part.table}\n")
-        text = with_tables(text, name, parts)
-    if page is not None:
-        write_text(page, text)
-
-
-def with_tables(page: str, name: str, parts: Sequence[Part]) -> str:
-    """A page whose section of a finding has its tables as they are now; the others stay out of it."""
-    sections = re.split(r"^(?=## )", page, flags=re.MULTILINE)
-    for k, section in enumerate(sections):
-        if re.search(rf"^{COMMAND} {name}$", section, re.MULTILINE):
-            for part in parts:
-                shown = re.compile(rf"(^{re.escape(part.title)}:\n\n)(?:\|.*\n)+", re.MULTILINE)
-                table = part.table + "\n"
-                section = shown.sub(lambda match, table=table: match[1] + table, section)
-            sections[k] = section
-    return "".join(sections)
 
 
 def frame_rate_against_spin(results: Results) -> list[Part]:

@@ -42,9 +42,14 @@ def read_table() -> dict[str, dict[str, str]]:
     section = PAGE.read_text().split("## What each command does with what it finds")[1].split("\n## ")[0]
     section = section[section.index("| what `-o` finds |") :]
     lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
-    head, _, *rows = [[cell.strip().strip("`") for cell in line] for line in lines]
-    assert tuple(head[1:]) == COMMANDS
-    return {cells[0]: dict(zip(COMMANDS, cells[1:], strict=True)) for cells in rows}
+    head, _, *rows = [[cell.strip() for cell in line] for line in lines]
+    # commands that do the same share a column
+    columns = [cell.strip("`").split("`, `") for cell in head[1:]]
+    assert sorted(name for names in columns for name in names) == sorted(COMMANDS)
+    return {
+        found: {name: cell for names, cell in zip(columns, cells, strict=True) for name in names}
+        for found, *cells in rows
+    }
 
 
 TABLE = read_table()
