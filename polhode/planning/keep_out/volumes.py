@@ -16,10 +16,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from polhode.geometry.lie import Array
+from polhode.geometry.lie import Array, Ints
 from polhode.planning.keep_out.distance_fields import (
     FAR,
-    closest,
     linear,
     protrusion,
     protrusion_at_instants,
@@ -61,7 +60,11 @@ PARTS_OF_HORIZON = 6
 """Errors change slowly: of the points in a cell, one represents the others in each part of the horizon."""
 INSTANT_POINTS_CELLS = 4.0
 BEYOND_CELLS = 2.0
-"""Beyond this the distance is that to the points of the surface, not the grid's."""
+"""Beyond this from the surface the grid decides about the side, the triangles about the distance."""
+NEAREST_TRIANGLES = (16, 128)
+"""Candidates, more for points that have not found the nearest one"""
+MAX_TRIES = 16
+"""To find how far a grid must reach, twice as far each time"""
 
 
 @dataclass(frozen=True)
@@ -87,12 +90,56 @@ class KeepOutOptions:
         return 2 * (int(np.ceil(1.0 / self.pose_miss)) + 1)
 
 
+class SmallTriangles:
+    """Triangles of a closed surface that are about as small as each other: the nearest one is one of those
+    with the nearest centres.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self._corners = np.asarray(mesh.triangles, dtype=np.float64)
+        self._normals = np.asarray(mesh.face_normals, dtype=np.float64)
+        centres = self._corners.mean(axis=1)
+        self._tree = cKDTree(centres)
+        self._radius_m = float(np.linalg.norm(self._corners - centres[:, None], axis=2).max())
+
+    def signed_distance(self, points: Array) -> tuple[Array, Array]:
+        """Lower and upper bound (n,) of the distance of points (n, 3), negative behind the nearest triangle.
+
+        They agree but for far points, by less than a triangle.
+        """
+        low, high = np.empty(len(points)), np.empty(len(points))
+        unsure = np.arange(len(points))
+        for count in NEAREST_TRIANGLES:
+            low[unsure], high[unsure] = self._bounds(points[unsure], min(count, len(self._corners)))
+            unsure = unsure[low[unsure] < high[unsure]]
+        return low, high
+
+    def _bounds(self, points: Array, count: int) -> tuple[Array, Array]:
+        """As ``signed_distance``, from so many candidates.
+
+        Where several are equally near, at an edge or corner, that whose plane is farthest decides.
+        """
+        away, index = self._tree.query(points, k=np.arange(1, count + 1))
+        best, side = np.full(len(points), np.inf), np.zeros(len(points))
+        for n in range(count):
+            off = points - trimesh.triangles.closest_point(self._corners[index[:, n]], points)
+            found = np.linalg.norm(off, axis=1)
+            plane = np.einsum("ni,ni->n", off, self._normals[index[:, n]])
+            alike = np.abs(found - best) <= 1e-9 + 1e-6 * found
+            better = (found < best) & ~alike | alike & (np.abs(plane) > np.abs(side))
+            side, best = np.where(better, plane, side), np.minimum(best, found)
+        # no other triangle can be nearer than the last centre less a triangle's radius
+        rest = np.inf if count == len(self._corners) else away[:, -1] - self._radius_m
+        least = np.clip(rest, 0.0, best)
+        return np.where(side < 0.0, -best, least), np.where(side < 0.0, -least, best)
+
+
 @dataclass(frozen=True)
 class SweptKeepOut:
     """The volume over the whole horizon, in N."""
 
     level: ScalarGrid
-    """negative inside; within two cells of the surface nearly the distance [m]"""
+    """negative inside, above 0 on the border; within two cells of the surface nearly the distance [m]"""
     factor: float
     """c: sigmas of the pose"""
     added_m: float
@@ -107,26 +154,20 @@ class SweptKeepOut:
     def volume_m3(self) -> float:
         return float(abs(self.mesh.volume))
 
-    @cached_property
-    def distance(self) -> ScalarGrid:
-        """Signed distance [m] to the surface, negative inside: exact to a fraction of a cell."""
-        level = self.level
-        V = np.asarray(self.mesh.vertices, dtype=np.float64)
-        near = closest(level.origin, level.step_m, level.values.shape, V, np.zeros(len(V))).reshape(-1)
-        away = np.linalg.norm(level.corners() - V[near], axis=1).reshape(level.values.shape)
-        close = np.abs(level.values) < 1.5 * level.step_m
-        signed = np.where(close, level.values, np.sign(level.values) * away)
-        return ScalarGrid(level.origin, level.step_m, signed.astype(np.float32))
-
     def signed_distance(self, p_N: Array) -> Array:
-        """Distance (n,) [m] of points (n, 3) in N from the volume, negative inside. Raises InputError."""
-        level, p_N = self.level, _points(p_N)
-        q = (p_N - level.origin) / level.step_m
-        outside = ((q < 0.0) | (q > np.array(level.values.shape) - 1.0)).any(axis=1)
-        out = self.distance.at(p_N)
-        if outside.any():
-            out[outside] = cKDTree(self.mesh.vertices).query(p_N[outside])[0]
-        return out
+        """Distance (n,) [m] of points (n, 3) in N from ``mesh``, negative inside; where the nearest triangle
+        is not certain, a lower bound. Raises InputError.
+        """
+        p_N = _points(p_N)
+        low, high = self._triangles.signed_distance(p_N)
+        # far from the surface the grid knows the side as well
+        is_far = np.minimum(np.abs(low), np.abs(high)) > BEYOND_CELLS * self.level.step_m
+        size = np.maximum(np.abs(low), np.abs(high)), np.minimum(np.abs(low), np.abs(high))
+        return np.where(is_far, np.where(self.level.at(p_N) <= 0.0, -size[0], size[1]), low)
+
+    @cached_property
+    def _triangles(self) -> SmallTriangles:
+        return SmallTriangles(self.mesh)
 
 
 @dataclass(frozen=True)
@@ -150,22 +191,18 @@ class InstantKeepOut:
                 f"instant {k}: give 0 to {len(self.motion.p_NG) - 1}, an index into motion.time_s"
             )
         p_G = (_points(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
-        away, nearest = self._tree.query(p_G)
         out, found, grid = np.empty(len(p_G)), np.empty(4), self.body.grid
+        # the members were held against the grid, which tells nothing of places far from its surface
+        least, most = self._triangles.signed_distance(p_G)
         for n, g in enumerate(p_G):
-            if away[n] > BEYOND_CELLS * grid.step_m:
-                # far from the surface: the sign is that of the grid, the distance that to the nearest point
-                q = self.body.points_G[nearest[n]]
-                found[0] = away[n] * np.sign(grid.at(g[None])[0])
-                found[1:] = (g - q) / found[0]
-            else:
-                linear(grid.values, grid.origin, grid.step_m, g[0], g[1], g[2], found)
-            out[n] = found[0] - self.factor * sigma_along(self.covariance[k], g[0], g[1], g[2], found)
+            linear(grid.values, grid.origin, grid.step_m, g[0], g[1], g[2], found)
+            out[n] = least[n] if least[n] > BEYOND_CELLS * grid.step_m else min(found[0], most[n])
+            out[n] -= self.factor * sigma_along(self.covariance[k], g[0], g[1], g[2], found)
         return out - self.added_m
 
     @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.body.points_G)
+    def _triangles(self) -> SmallTriangles:
+        return SmallTriangles(self.body.grid.mesh())
 
     def margin_m(self) -> Array:
         """(T,) the largest growth of the body for its pose."""
@@ -204,8 +241,9 @@ def union_of(levels: list[ScalarGrid]) -> ScalarGrid:
     Half a step is added to them, which is more than interpolation on the new grid takes away.
     """
     step = max(each.step_m for each in levels)
-    low = np.min([each.origin for each in levels], axis=0)
+    low = np.min([each.origin for each in levels], axis=0) - 2.0 * step
     high = np.max([each.origin + each.step_m * (np.array(each.values.shape) - 1) for each in levels], axis=0)
+    high += 2.0 * step
     shape = tuple(np.ceil((high - low) / step).astype(int) + 1)
     corners = ScalarGrid(low, step, np.zeros(shape, dtype=np.float32)).corners()
     nearest = np.min([each.at(corners) for each in levels], axis=0)
@@ -288,38 +326,52 @@ def _swept(
     halves: tuple[Ensemble, Ensemble],
     options: KeepOutOptions,
 ) -> SweptKeepOut:
-    centres = np.concatenate([half.p_NG + half.R_NG @ body.centre_G for half in halves])
     radius, grid = body.radius_m, body.grid
-    low, high = centres.min(axis=(0, 1)) - radius, centres.max(axis=(0, 1)) + radius
-    step = float((high - low).max()) / options.cells
-    low, high = low - 4.0 * step, high + 4.0 * step
-    shape = tuple(np.ceil((high - low) / step).astype(int) + 1)
     spread_m = np.sqrt(np.trace(P[:, :3, :3], axis1=1, axis2=2)) + radius * np.sqrt(
         np.trace(P[:, 3:, 3:], axis1=1, axis2=2)
     )
+    # of all members, and as far from the estimate as the largest factor grows it
+    centres = np.concatenate([half.p_NG + half.R_NG @ body.centre_G for half in halves])
+    middle = (motion.p_NG + motion.R_NG @ body.centre_G)[:, None]
+    far = (FACTORS[-1] * spread_m + radius)[:, None, None]
+    low = np.minimum(centres.min(axis=(0, 1)) - radius, (middle - far).min(axis=(0, 1)))
+    high = np.maximum(centres.max(axis=(0, 1)) + radius, (middle + far).max(axis=(0, 1)))
+    step = float((high - low).max()) / options.cells
     fine = fine_times(motion, radius, step, options.horizon_s)
     at = np.clip(np.searchsorted(motion.time_s, fine), 0, len(motion.time_s) - 1)
-    states = nominal_motion(estimate, fine)
-    fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
-    sweep(
-        fields, low, step, FACTORS, states.R_NG, states.p_NG, P[at], FACTORS[-1] * spread_m[at],
-        grid.values, grid.origin, grid.step_m, body.centre_G, radius,
-    )  # fmt: skip
-    pairs = points_near_surface(fields[..., 0], low, step, motion, body.points_G, BAND_SIGMAS * spread_m)
+    states, more_m = nominal_motion(estimate, fine), 4.0 * step
+    for _ in range(MAX_TRIES):
+        origin = low - more_m
+        shape = tuple(np.ceil((high - low + 2.0 * more_m) / step).astype(int) + 1)
+        fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
+        sweep(
+            fields, origin, step, FACTORS, states.R_NG, states.p_NG, P[at],
+            FACTORS[-1] * spread_m[at] + more_m, grid.values, grid.origin, grid.step_m, body.centre_G, radius,
+        )  # fmt: skip
+        band_m = BAND_SIGMAS * spread_m
+        pairs = points_near_surface(fields[..., 0], origin, step, motion, body.points_G, band_m)
 
-    def bound(fields: Floats, half: Ensemble) -> Array:
-        beyond = protrusion(fields, low, step, half.R_NG, half.p_NG, pairs, body.points_G)
-        return np.maximum(conformal(beyond, options.pose_miss), -step)
+        def bound(fields: Floats, half: Ensemble, origin: Array = origin, pairs: Ints = pairs) -> Array:
+            beyond = protrusion(fields, origin, step, half.R_NG, half.p_NG, pairs, body.points_G)
+            return np.maximum(conformal(beyond, options.pose_miss), -step)
 
-    allowed = bound(fields, halves[0])
-    best = int(np.argmin([int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]))
-    added = float(bound(np.ascontiguousarray(fields[..., best : best + 1]), halves[1])[0])
-    level = fields[..., best] - np.float32(added)
-    level = np.where(cavities(level), -np.float32(step), level)
-    # bounded values: finite slopes at the surface between far cells and near ones
-    return SweptKeepOut(
-        ScalarGrid(low, step, np.minimum(level, np.float32(8.0 * step))), float(FACTORS[best]), added
-    )
+        allowed = bound(fields, halves[0])
+        best = int(np.argmin([int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]))
+        added = float(bound(np.ascontiguousarray(fields[..., best : best + 1]), halves[1])[0])
+        level = fields[..., best] - np.float32(added)
+        if added <= more_m and not reaches_border(level):
+            level = np.where(cavities(level), -np.float32(step), level)
+            # bounded values: finite slopes at the surface between far cells and near ones
+            whole = ScalarGrid(origin, step, np.minimum(level, np.float32(8.0 * step)))
+            return SweptKeepOut(whole, float(FACTORS[best]), added)
+        more_m = float(np.clip(1.1 * added, 2.0 * more_m, 4.0 * more_m))
+    raise ValueError("the motion is too uncertain for a volume")
+
+
+def reaches_border(level: Floats) -> bool:
+    """Whether the volume, where the level is not above 0, goes on beyond its grid."""
+    ends = (level[0], level[-1], level[:, 0], level[:, -1], level[:, :, 0], level[:, :, -1])
+    return any(bool((end <= 0.0).any()) for end in ends)
 
 
 def fine_times(motion: BodyMotion, radius: float, step: float, horizon_s: float) -> Array:

@@ -11,6 +11,7 @@ from polhode.geometry.lie import Array
 from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out
 from polhode.planning.prediction import draw_ensemble, nominal_motion
+from polhode.records.mesh_metrics import encloses
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import InputError
 from tests.planning.bodies import SIGMA_M, ball, box, estimate, measured
@@ -75,6 +76,30 @@ def test_independent_draws_stay_inside_as_often_as_promised() -> None:
         quick(15.0),
     )  # fmt: skip
     assert bare.swept.volume_m3 < found.swept.volume_m3 < 1.5 * bare.swept.volume_m3
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_volume_is_closed_and_never_claims_more_clearance_than_there_is(seed: int) -> None:
+    """Bodies, motions and sigmas at random, against the distance to all triangles and the winding number."""
+    rng = np.random.default_rng(seed)
+    sides = 0.3 * rng.uniform(0.05, 1.0, 3)
+    body = ball() if seed % 4 == 3 else measured(trimesh.creation.box(sides).subdivide_to_size(0.03), 1e-3)
+    spin, drift = rng.normal(size=3) * rng.uniform(0.0, 0.5), 0.03 * rng.normal(size=3)
+    size, psd = 10.0 ** rng.uniform([-2.0, -9.0], [1.0, -5.0])
+    target = estimate(tuple(spin), tuple(drift), size, psd=psd)
+    found = keep_out(body, target, quick(float(rng.uniform(2.0, 20.0)), 20)).swept
+    mesh = found.mesh
+    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0
+    low, high = mesh.bounds
+    near = mesh.vertices[rng.integers(len(mesh.vertices), size=60)] + 0.3 * found.level.step_m * rng.normal(
+        size=(60, 3)
+    )
+    points = np.concatenate([near, rng.uniform(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, (60, 3))])
+    distance = np.concatenate([trimesh.proximity.closest_point_naive(mesh, each[None])[1] for each in points])
+    exact = np.where([encloses(mesh, each) for each in points], -distance, distance)
+    claimed = found.signed_distance(points)
+    assert (claimed <= exact + 1e-9).all()
+    np.testing.assert_allclose(claimed, exact, rtol=0.02, atol=0.1 * found.level.step_m)
 
 
 def test_less_is_known_more_is_kept_out() -> None:
