@@ -46,6 +46,8 @@ MAX_SIDE_PX = 640
 """Larger pictures are reduced."""
 MIN_POINTS, MAX_POINTS = 300, 2500
 """Of a frame"""
+NOTHING_IN_COMMON = -1.0
+"""In the place of a correlation: too few points are seen in both frames."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ def rotation_check(views: Sequence[PairView], rig: RectifiedRig, interval_s: flo
     other = np.where(np.abs(turns_rad) >= apart_rad, fit, -np.inf)
     best = int(np.argmax(other))
     own = float(fit[len(fit) // 2])
-    if not np.isfinite(own) or not np.isfinite(other[best]):
+    if not np.isfinite(own) or not np.isfinite(other[best]) or own == NOTHING_IN_COMMON:
         return make_check(key, None)
     contrast = (own - float(other[best])) * (marked if still else 1.0)
     doubt = (
@@ -247,10 +249,10 @@ def _marks_along_circles(view: PairView, picture: Picture, X_GG: Array, rig: Rec
 
 
 def _correlation(a: Array, b: Array) -> float:
-    """Of values (n,) that are both known."""
+    """Of values (n,) that are both known; NOTHING_IN_COMMON: too few."""
     both = np.isfinite(a) & np.isfinite(b)
     if both.sum() < MIN_POINTS // 3:
-        return -1.0
+        return NOTHING_IN_COMMON
     x, y = a[both], b[both]
     return float(np.sum(x * y) / np.sqrt(np.sum(x**2) * np.sum(y**2) + 1e-9))
 
