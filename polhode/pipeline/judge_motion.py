@@ -36,7 +36,7 @@ def causal_estimate(
 @stage("checks", ["backend"], is_stored=False)
 def data_checks(context: RunContext, features: Sequence[StereoFeatures], motion: MotionSolution) -> Findings:
     """Doubts about the data. features: of the first method, of each frame."""
-    return check_data(context, features, motion.tracks, motion.estimate)
+    return check_data(context, features, motion.tracks, motion.estimate, motion.links)
 
 
 @stage("checks", is_stored=False)

@@ -16,8 +16,8 @@
 import numpy as np
 
 from polhode.geometry.lie import Array, inverse_pose
+from polhode.pipeline.checks.data_checks.pose_checks import AGREES_DEG, contradicted_deg
 from polhode.records.estimate import Impulse, MotionEstimate
-from polhode.records.metrics import angle_deg
 from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.run_directory.check_table import attempt_checks, make_check
 from polhode.run_directory.summary_schema import Check
@@ -37,15 +37,10 @@ def check_answer(tracks: StereoTracks, estimate: MotionEstimate, links: Relative
 
 
 def link_check(links: RelativePoses, X_RG: Array) -> Check:
-    """Share of the links that contradict the motion; X_RG (F, 4, 4): the target in the camera, as found.
-
-    Below 5 deg, few inliers on one side of the body explain a difference.
-    """
+    """Share of the links that contradict the motion; X_RG (F, 4, 4): the target in the camera, as found."""
     if len(links.i) < 20:
         return make_check("links", None)
-    moved = X_RG[links.i] @ inverse_pose(X_RG[links.j])
-    difference_deg = angle_deg(np.swapaxes(moved[:, :3, :3], 1, 2) @ links.X_RiRj[:, :3, :3])
-    return make_check("links", 100.0 * float(np.mean(difference_deg > 5.0)))
+    return make_check("links", 100.0 * float(np.mean(contradicted_deg(links, X_RG) > AGREES_DEG)))
 
 
 def mirror_check(tracks: StereoTracks, estimate: MotionEstimate) -> Check:

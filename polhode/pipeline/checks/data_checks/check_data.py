@@ -19,7 +19,7 @@ from polhode.pipeline.checks.data_checks.rig_check import rig_checks
 from polhode.pipeline.checks.data_checks.self_calibration import focal_check
 from polhode.pipeline.context import RunContext, doubts_of_masks
 from polhode.records.estimate import MotionEstimate
-from polhode.records.tracks import StereoTracks
+from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.run_directory.check_table import attempt_checks, make_check
 from polhode.run_directory.summary_schema import Check
 
@@ -35,7 +35,11 @@ class Findings:
 
 
 def check_data(
-    context: RunContext, features: Sequence[StereoFeatures], tracks: StereoTracks, estimate: MotionEstimate
+    context: RunContext,
+    features: Sequence[StereoFeatures],
+    tracks: StereoTracks,
+    estimate: MotionEstimate,
+    links: RelativePoses | None = None,
 ) -> Findings:
     """Doubts about the rig, the clock, the poses and the constancy of the target."""
     seen = np.isin(np.arange(tracks.n_frames), tracks.frame)
@@ -58,7 +62,7 @@ def check_data(
         lambda: [inspector_check(X_NR, X_NG, seen, tracks.sigma_camera_theta_rad)],
         lambda: [swing_check(tracks, estimate, config)],
         mass,
-        lambda: [connection_check(tracks, estimate)],
+        lambda: [connection_check(tracks, estimate, links)],
         lambda: mask_checks(context.rectifier.found),
     ):
         checks.extend(attempt_checks(step))

@@ -21,7 +21,8 @@ from polhode.backend.subset_solution import solved_again
 from polhode.config.backend_settings import Backend
 from polhode.geometry.lie import Array, Bools, inverse_pose, log_so3
 from polhode.records.estimate import MotionEstimate
-from polhode.records.tracks import StereoTracks
+from polhode.records.metrics import angle_deg
+from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.run_directory.check_table import CHECK_TABLE, frame_step, make_check
 from polhode.run_directory.summary_schema import Check
 
@@ -30,6 +31,8 @@ ROUGHNESS_PER_SIGMA = float(np.sqrt(15.0))
 coefficients of four successive poses are -1/2, 3/2, -3/2, 1/2."""
 MIN_FRAMES = 2
 """With observations, on either side of an instant: a single frame contributes little."""
+AGREES_DEG = 5.0
+"""Below it, few inliers on one side of the body explain the difference of a link from the motion."""
 MIN_SWING_DEG = 0.1
 """Oscillation of the inspector's attitude that matters; wrong runs have 0.14 and more."""
 
@@ -124,8 +127,10 @@ def swing_check(tracks: StereoTracks, estimate: MotionEstimate, config: Backend)
     return make_check("inspector swing", max(gain, 0.0), swing_deg=swing_deg)
 
 
-def connection_check(tracks: StereoTracks, estimate: MotionEstimate) -> Check:
-    """Whether landmarks connect all parts of the sequence."""
+def connection_check(
+    tracks: StereoTracks, estimate: MotionEstimate, links: RelativePoses | None = None
+) -> Check:
+    """Whether landmarks connect all parts of the sequence, or matches of two frames that agree with it."""
     good = estimate.inlier_weight > 0.1
     frame, landmark = tracks.frame[good], tracks.landmark[good]
     seen = np.unique(frame)
@@ -137,8 +142,20 @@ def connection_check(tracks: StereoTracks, estimate: MotionEstimate) -> Check:
     np.maximum.at(last, landmark, frame)
     places = seen[MIN_FRAMES - 1 : len(seen) - MIN_FRAMES]
     shared = np.array([int(np.sum((first <= k) & (last > k))) for k in places])
+    if links is not None:
+        inliers = np.where(
+            contradicted_deg(links, inverse_pose(tracks.X_NR) @ estimate.X_NG) < AGREES_DEG, links.inliers, 0
+        )
+        across = [inliers[(links.i <= k) & (links.j > k)].max(initial=0) for k in places]
+        shared = np.maximum(shared, across)
     n, weak = int(np.argmin(shared)), int(np.sum(shared < (CHECK_TABLE["connection"].limit or 0.0)))
     start_s, end_s = (tracks.time_s[k] for k in (places[n], seen[MIN_FRAMES + n]))
     count = f"{shared[n] or 'no'} landmark{'' if shared[n] == 1 else 's'}"
     others = f" (the weakest of {weak} such places)" if weak > 1 else ""
     return make_check("connection", shared[n], start_s=start_s, end_s=end_s, count=count, others=others)
+
+
+def contradicted_deg(links: RelativePoses, X_RG: Array) -> Array:
+    """Angles (n,) between links and the motion; X_RG (F, 4, 4): the target in the camera, as found."""
+    moved = X_RG[links.i] @ inverse_pose(X_RG[links.j])
+    return angle_deg(np.swapaxes(moved[:, :3, :3], 1, 2) @ links.X_RiRj[:, :3, :3])

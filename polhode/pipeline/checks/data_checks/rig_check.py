@@ -13,6 +13,7 @@ What no image can show is in docs/trust.md.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -193,7 +194,7 @@ class CameraDelay:
         A slowly turning target makes a long delay of rows that differ for another reason.
         """
         trigger_s = 1e-3 * (CHECK_TABLE["camera delay"].limit or 0.0)
-        displaced_px = max(LEAST_PX, OF_VIEW_PX / np.sqrt(max(self.turn_rad / VIEW_RAD, 1.0)))
+        displaced_px = max(LEAST_PX, OF_VIEW_PX / sqrt(max(self.turn_rad / VIEW_RAD, 1.0)))
         return max(trigger_s, CLEAR_SIGMAS * self.sigma_s, displaced_px / max(self.speed_px_s, 1e-9))
 
 

@@ -18,7 +18,7 @@ from polhode.pipeline.checks.data_checks.pose_checks import (
     swing_check,
 )
 from polhode.records.estimate import InitialMotion
-from polhode.records.tracks import StereoTracks
+from polhode.records.tracks import RelativePoses, StereoTracks
 from polhode.run_directory.summary_schema import Check
 from polhode.runtime.progress import Silent
 from polhode.simulation.monte_carlo import SyntheticScene, generate, random_scene
@@ -108,8 +108,13 @@ def tracks() -> StereoTracks:
     return generate(SyntheticScene(frames=FRAMES, landmarks=60, detection=0.9), 0).tracks
 
 
-def connection_of(tracks: StereoTracks, place: int, kept: int, frames: int = FRAMES) -> Check:
-    """Of the first frames; after frame ``place`` other landmarks are seen, but for ``kept`` of them."""
+def connection_of(
+    tracks: StereoTracks, place: int, kept: int, frames: int = FRAMES, link_deg: float | None = None
+) -> Check:
+    """Of the first frames; after frame ``place`` other landmarks are seen, but for ``kept`` of them.
+
+    link_deg: difference from the motion of a link of nine matches across it; None: there is no link.
+    """
     sides = (tracks.frame <= place, tracks.frame > place)
     common = np.intersect1d(tracks.landmark[sides[0]], tracks.landmark[sides[1]])[kept:]
     other = sides[1] & np.isin(tracks.landmark, common)
@@ -117,8 +122,13 @@ def connection_of(tracks: StereoTracks, place: int, kept: int, frames: int = FRA
     rows = tracks.frame < frames
     landmark = np.unique(number[rows], return_inverse=True)[1].astype(np.int64)
     parts = {name: getattr(tracks, name)[rows] for name in ("frame", "uvd_px", "sigma_px")}
-    estimate: Any = SimpleNamespace(inlier_weight=np.ones(len(landmark)))
-    return connection_check(replace(tracks, landmark=landmark, **parts), estimate)
+    estimate: Any = SimpleNamespace(inlier_weight=np.ones(len(landmark)), X_NG=tracks.X_NR)
+    links = None
+    if link_deg is not None:
+        # in the cameras the target is at rest
+        off = make_pose(exp_so3(np.deg2rad([[0.0, link_deg, 0.0]])), np.zeros((1, 3)))
+        links = RelativePoses(np.array([place]), np.array([place + 1]), off, np.array([9]))
+    return connection_check(replace(tracks, landmark=landmark, **parts), estimate, links)
 
 
 @pytest.mark.parametrize("kept", [0, MIN_LANDMARKS - 1])
@@ -126,6 +136,8 @@ def test_parts_that_share_few_landmarks_are_reported(tracks: StereoTracks, kept:
     start, end = (tracks.time_s[k] for k in (PLACE, PLACE + 1))
     words = f"before {start:g} s and after {end:g} s share {kept or 'no'} landmarks"
     assert words in connection_of(tracks, PLACE, kept).reason
+    assert words in connection_of(tracks, PLACE, kept, link_deg=6.0).reason
+    assert connection_of(tracks, PLACE, kept, link_deg=4.0).reason == ""
 
 
 @pytest.mark.parametrize(
