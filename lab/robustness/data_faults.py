@@ -44,10 +44,12 @@ CONFIGURATION: dict[str, Any] = {
     "runtime": {"workers": 1},
 }
 """Small images give fewer features: with the default the slower second method would be used in every run."""
-ONE_METHOD = CONFIGURATION | {
-    "frontend": {"features": {"max_features": 900, "second": None}, "depth": {"method": "sgbm"}}
+LIGHT = CONFIGURATION | {
+    "frontend": {"features": {"max_features": 900, "second": None}, "depth": {"method": "sgbm"}},
+    "backend": {"window": {"enabled": False}, "bounds": {"intervals": False}},
+    "mapping": {"voxel_mm": 10.0, "levels": ()},
 }
-"""Without networks, for the short form"""
+"""Without networks and intervals and with a coarse surface, for the short form"""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def main(
                 raise SystemExit(f"{name}: there are only {', '.join(known)}")
     cases: list[Case] = [{"body": body, "fault": fault} for body in bodies for fault in faults]
     if short:
-        measure = Measure(folder / "short", keep, SHORT_FRAMES, ONE_METHOD)
+        measure = Measure(folder / "short", keep, SHORT_FRAMES, LIGHT)
     else:
         measure = Measure(folder, keep, FRAMES, CONFIGURATION)
     print_tables(measured(record, cases) if table else complete(record, cases, measure, workers))
