@@ -145,16 +145,12 @@ def finished(rendered_sequence: Path, make_once: MakeOnce, front_end_once: "Shar
 
 @pytest.fixture
 def coarse_keep_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep-out volumes have half the cells a side, which takes an eighth of the time.
-
-    And a mesh of few frames, which is open, does not stand for its hull, whose distances take longer still.
-    """
+    """Keep-out volumes have half the cells a side, which takes an eighth of the time."""
     from polhode.planning.keep_out.volumes import KeepOutOptions
 
     coarse = partial(KeepOutOptions, cells=KeepOutOptions.cells // 2)
     for user in ("polhode.planning.keep_out.volumes", "polhode.api"):
         monkeypatch.setattr(f"{user}.KeepOutOptions", coarse)
-    monkeypatch.setattr("polhode.planning.keep_out.measured_body.OPEN_SHARE", 1.0)
 
 
 @pytest.fixture
