@@ -16,7 +16,8 @@ from tests.docs.world import FRAMES, small_sequence
 ROOT = Path(__file__).parents[1]
 LIGHT = (
     *("--frontend.features.second", "None", "--frontend.depth.method", "sgbm"),
-    *("--backend.window.enabled", "False", "--mapping.voxel-mm", "10"),
+    *("--backend.window.enabled", "False", "--backend.bounds.intervals", "False", "--mapping.voxel-mm", "10"),
+    *("--pictures.views", "False", "--pictures.animation", "False"),
 )
 """Options that make a run of a few frames short."""
 

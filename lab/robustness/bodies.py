@@ -35,7 +35,6 @@ def _body(
 ) -> tuple[int, dict[str, Any]]:
     """Seed and description of a scene; the target is in front of the middle of the rig."""
     return seed, {
-        "frames": FRAMES,
         "interval_s": INTERVAL_S,
         "truth_horizon_s": 5.0,
         "body": body,
@@ -86,8 +85,8 @@ BODIES: dict[str, tuple[int, dict[str, Any]]] = {
 """By name: seed, and the scene as a configuration has it"""
 
 
-def scene_of(name: str, **changes: dict[str, Any]) -> tuple[Scene, int]:
+def scene_of(name: str, frames: int = FRAMES, **changes: dict[str, Any]) -> tuple[Scene, int]:
     """The scene of a body and its seed; ``changes`` are entries of its sections."""
     seed, description = BODIES[name]
     sections = {key: {**description.get(key, {}), **values} for key, values in changes.items()}
-    return Scene.model_validate({**description, **sections}), seed
+    return Scene.model_validate({**description, **sections, "frames": frames}), seed

@@ -12,11 +12,11 @@ are independent: on several machines, give each its ``--bodies`` and ``--record`
 import fcntl
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 from zlib import crc32
 
 import numpy as np
@@ -27,7 +27,7 @@ from lab.presentation import print_table
 from lab.record import Case, complete, measured
 from lab.robustness import faults_of_files as files
 from lab.robustness import faults_of_scenes as scenes
-from lab.robustness.bodies import BODIES
+from lab.robustness.bodies import BODIES, FRAMES
 from lab.robustness.judge import OUTCOMES, judged, outcome_of
 from lab.robustness.recording import write_recording
 from polhode.config import Config
@@ -36,7 +36,7 @@ from polhode.runtime.errors import InputError, RunFailure
 from polhode.runtime.progress import Silent
 
 RECORD = RECORDS / "data_faults"
-CONFIGURATION = {
+CONFIGURATION: dict[str, Any] = {
     "frontend": {"features": {"max_features": 900, "second_below": 40}},
     "backend": {"window": {"enabled": False}},
     "mapping": {"voxel_mm": 5.0, "levels": ()},
@@ -44,6 +44,12 @@ CONFIGURATION = {
     "runtime": {"workers": 1},
 }
 """Small images give fewer features: with the default the slower second method would be used in every run."""
+LIGHT = CONFIGURATION | {
+    "frontend": {"features": {"max_features": 900, "second": None}, "depth": {"method": "sgbm"}},
+    "backend": {"window": {"enabled": False}, "bounds": {"intervals": False}},
+    "mapping": {"voxel_mm": 10.0, "levels": ()},
+}
+"""Without networks and intervals and with a coarse surface, for the short form"""
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ FAULTS: dict[str, Fault] = {
     "leaves_and_returns": Fault("out of view for 6 s", render=scenes.leaves_and_returns),
 }
 ONLY_WARNED = "of these by a warning alone"
-SHORT_BODIES, SHORT_FAULTS = ("flyer",), ("dropped_30",)
+SHORT_BODIES, SHORT_FAULTS, SHORT_FRAMES = ("flyer",), ("dropped_30",), 12
 
 
 def main(
@@ -113,7 +119,10 @@ def main(
             if name not in known:
                 raise SystemExit(f"{name}: there are only {', '.join(known)}")
     cases: list[Case] = [{"body": body, "fault": fault} for body in bodies for fault in faults]
-    measure = Measure(folder, 14 if short else None)
+    if short:
+        measure = Measure(folder / "short", SHORT_FRAMES, LIGHT)
+    else:
+        measure = Measure(folder, FRAMES, CONFIGURATION)
     print_tables(measured(record, cases) if table else complete(record, cases, measure, workers))
 
 
@@ -122,15 +131,14 @@ class Measure:
     """One run, judged."""
 
     folder: Path
-    pairs: int | None = None
-    """Of each sequence; None: all"""
+    frames: int
+    configuration: Mapping[str, Any]
 
     def __call__(self, case: Case) -> Case:
         """The row of a case."""
         body, fault = case["body"], FAULTS[case["fault"]]
         with _alone(self.folder / body):
-            recording = fault.render(body, self.folder / body / "rendered")
-        recording = recording.kept(np.arange(len(recording))[: self.pairs])
+            recording = fault.render(body, self.frames, self.folder / body / "rendered")
         if fault.change is not None:
             seed = crc32(f"{body} {case['fault']}".encode())
             recording = fault.change(recording, np.random.default_rng(seed))
@@ -140,7 +148,7 @@ class Measure:
         start = time.perf_counter()
         code = 0
         try:
-            run(Config.model_validate(CONFIGURATION), place / "sequence", place / "run", Silent())
+            run(Config.model_validate(self.configuration), place / "sequence", place / "run", Silent())
         except RunFailure:
             code = 1
         except InputError as error:

@@ -25,28 +25,28 @@ from polhode.simulation.motion.integrate import advance
 from polhode.simulation.motion.mass import MassDistribution, principal_axes
 from polhode.simulation.motion.target import poses_of_target
 
-Rendered = Callable[[str, Path], Recording]
-"""From the name of a body and a folder of its rendered sequences"""
+Rendered = Callable[[str, int, Path], Recording]
+"""From the name of a body, the number of pairs and a folder of its rendered sequences"""
 
 
-def undisturbed(name: str, folder: Path) -> Recording:
+def undisturbed(name: str, frames: int, folder: Path) -> Recording:
     """The body as it is."""
-    return _simulated(*scene_of(name), folder / "none")
+    return _simulated(*scene_of(name, frames), folder / "none")
 
 
 def disturbances(times: float) -> Rendered:
     """Disturbances so many times as strong (power)."""
 
-    def render(name: str, folder: Path) -> Recording:
+    def render(name: str, frames: int, folder: Path) -> Recording:
         psd = {"accel_psd": times * PSD, "torque_psd": times * PSD}
-        return _simulated(*scene_of(name, motion=psd), folder / f"disturbances_{times:g}")
+        return _simulated(*scene_of(name, frames, motion=psd), folder / f"disturbances_{times:g}")
 
     return render
 
 
-def thruster_burst(name: str, folder: Path) -> Recording:
+def thruster_burst(name: str, frames: int, folder: Path) -> Recording:
     """A thruster fires for a second: 2 mm/s and, about two axes, some 3 deg/s."""
-    scene, seed = scene_of(name)
+    scene, seed = scene_of(name, frames)
     mass = plan_sequence(scene, seed).mass
     push = {
         "start_s": 0.5 * INTERVAL_S * scene.frames + 0.1,
@@ -54,27 +54,27 @@ def thruster_burst(name: str, folder: Path) -> Recording:
         "force_N": [2e-3 * mass.mass_kg, -1e-3 * mass.mass_kg, 0.0],
         "torque_P": [0.05 * mass.moments[0], 0.0, 0.04 * mass.moments[2]],
     }
-    changed, _ = scene_of(name, motion={"pushes": [push], "pushes_known": False})
+    changed, _ = scene_of(name, frames, motion={"pushes": [push], "pushes_known": False})
     return _simulated(changed, seed, folder / "thruster_burst")
 
 
-def leaves_and_returns(name: str, folder: Path) -> Recording:
+def leaves_and_returns(name: str, frames: int, folder: Path) -> Recording:
     """The inspector looks away for six seconds; it reports its poses with 0.3 mm and 0.01 degrees."""
     away = {"position_m": [0.01, 0.0, 0.0], "attitude_deg": [0.0, 60.0, 0.0]}
     waypoints = [{"t_s": 6.0}, {"t_s": 8.5, **away}, {"t_s": 11.5, **away}, {"t_s": 14.0}]
     inspector = {
         "profile": "waypoints", "waypoints": waypoints, "sigma_p_m": 0.0003, "sigma_theta_deg": 0.01,
     }  # fmt: skip
-    return _simulated(*scene_of(name, inspector=inspector), folder / "leaves_and_returns")
+    return _simulated(*scene_of(name, frames, inspector=inspector), folder / "leaves_and_returns")
 
 
-def right_camera_late(name: str, folder: Path) -> Recording:
+def right_camera_late(name: str, frames: int, folder: Path) -> Recording:
     """The right camera takes its images 20 ms after the left one."""
-    base, plan = undisturbed(name, folder), _plan(name)
-    frames = range(plan.scene.frames)
-    later = replace(plan.target, X_NG=np.concatenate([plan.target.poses_during(k, 0.020) for k in frames]))
+    base, plan = undisturbed(name, frames, folder), _plan(name, frames)
+    shown = range(frames)
+    later = replace(plan.target, X_NG=np.concatenate([plan.target.poses_during(k, 0.020) for k in shown]))
     renderer = FrameRenderer(replace(plan, target=later))
-    images = [renderer.render_image(k, 1)[0] for k in frames]
+    images = [renderer.render_image(k, 1)[0] for k in shown]
     return replace(base, right=np.stack(images).astype(np.uint8))
 
 
@@ -82,9 +82,9 @@ EJECTED_SHARE, EJECTED_M_S = 0.08, 0.05
 """Share of the mass that leaves, and its speed relative to the place that it leaves"""
 
 
-def mass_ejected(name: str, folder: Path) -> Recording:
+def mass_ejected(name: str, frames: int, folder: Path) -> Recording:
     """Half way 8 % of the mass leave the surface at 5 cm/s, unseen: other moments, axes and centre."""
-    plan, target = _plan(name), folder / "mass_ejected"
+    plan, target = _plan(name, frames), folder / "mass_ejected"
     moved, mass = _after_ejection(
         plan, *_place_on_hull(plan.body, np.random.default_rng([plan.seed, 0xE7EC]))
     )
@@ -149,8 +149,8 @@ def _place_on_hull(body: Body, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 @cache
-def _plan(name: str) -> SequencePlan:
-    return plan_sequence(*scene_of(name))
+def _plan(name: str, frames: int) -> SequencePlan:
+    return plan_sequence(*scene_of(name, frames))
 
 
 def _simulated(scene: Scene, seed: int, folder: Path) -> Recording:

@@ -89,7 +89,7 @@ CHECK_TABLE = {
         "after {end_s:.1f} s the target has other mass properties than before {start_s:.1f} s "
         "({changes}): a part may have left it, or moved; what is stated for the whole sequence is true "
         "of neither"),
-    # three landmarks fix a pose, and four agreed with a wrong one by chance; matches of two frames count as well
+    # three landmarks fix a pose, four agreed with a wrong one by chance; matches of two frames count as well
     "connection": CheckRow("fewest landmarks common to the parts before and after an instant", "", 6.0,
         "the parts before {start_s:g} s and after {end_s:g} s share {count} and are connected by the "
         "dynamics alone: the turn between them, and what follows from it, no image confirms{others}",

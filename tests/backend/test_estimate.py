@@ -31,7 +31,7 @@ NO_SHARED = FAST.model_copy(update={"systematic_px": (0.0, 0.0, 0.0), "light_px"
 
 
 def test_what_the_covariance_knows_of_correlated_errors_changes_sigmas_alone() -> None:
-    sequence = generate(replace(TUMBLE, sigma_uv_px=0.2, sigma_d_px=0.2), 3)
+    sequence = generate(replace(TUMBLE, frames=24, sigma_uv_px=0.2, sigma_d_px=0.2), 3)
     kinds: tuple[CorrelatedErrors, ...] = ("none", "neighbours", "drift", "slide")
     configs = [FAST.model_copy(update={"correlated_errors": k, "light_px": 0.3}) for k in kinds]
     found = [estimated(sequence, config) for config in configs]

@@ -465,7 +465,7 @@ MENTIONS = (
 @pytest.mark.parametrize("to", [*FORMATS])
 def test_every_export_knows_its_own_files(to: str, stage: Stage, tmp_path: Path, capsys: Capture) -> None:
     file = tmp_path / f"target.{to}"
-    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "-o", str(file)]
+    words = ["export", str(stage.run), "--to", to, "--pieces", "1", "--horizon", "2", "-o", str(file)]
     assert main(words) == main(words) == 0
     # the same text further down, or a mention of exports, makes a file of the user
     for content in (b"# mine\n" + file.read_bytes(), *(each.encode() for each in MENTIONS)):
@@ -590,6 +590,7 @@ def test_a_run_whose_name_is_not_utf8_is_shown_with_escapes(
         assert main(["report", *map(str, runs), "-o", str(page)]) == 0
         assert shown in page.read_text()
     for to in FORMATS:
-        words = ["export", str(run), "--to", to, "--pieces", "1", "-o", str(tmp_path / f"target.{to}")]
+        file = str(tmp_path / f"target.{to}")
+        words = ["export", str(run), "--to", to, "--pieces", "1", "--horizon", "2", "-o", file]
         assert main(words) == main(words) == 0
     assert f"the run {shown} " in (tmp_path / "target.urdf").read_text()

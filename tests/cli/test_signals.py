@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +143,7 @@ def test_a_signal_to_the_whole_group_of_processes_is_one_line(tmp_path: Path) ->
     try:
         while not list(tmp_path.glob(".S.partial/.frames/*.done")):
             assert program.poll() is None
+            time.sleep(0.01)
         os.killpg(program.pid, signal.SIGHUP)
         _, error = program.communicate(timeout=60)
     finally:

@@ -14,6 +14,8 @@ THRESHOLD = (
     f"{sys.executable} -m polhode threshold --radius-m 2 --mass-kg 100 --force-n 1 --isp-s 220"
     " --duration-s 60 --fuel-fraction 0.1"
 )
+REFUSED = THRESHOLD.replace("0.1", "2")
+"""One line on standard error and exit code 2"""
 SIMULATE = f"{sys.executable} -m polhode simulate scene.yaml -o S"
 NO_READER = "(sleep 0.2; exec {}) | true; echo ${{PIPESTATUS[0]}} >&2"
 
@@ -31,15 +33,12 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path
 
 
-EVALUATE = f"{sys.executable} -m polhode evaluate R S"
-
-
 def test_a_reader_that_goes_away_is_not_noticed_however_much_is_printed(scene: Path) -> None:
     for words in (SIMULATE, THRESHOLD, f"{sys.executable} -m polhode run --help"):
         assert shell(NO_READER.format(words), scene).stderr == "0\n"
     assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1
     assert sorted(path.name for path in scene.iterdir()) == ["S", "scene.yaml"]
-    done = shell(f"(sleep 0.2; exec {EVALUATE}) 2>&1 >/dev/null | true; echo ${{PIPESTATUS[0]}}", scene)
+    done = shell(f"(sleep 0.2; exec {REFUSED}) 2>&1 >/dev/null | true; echo ${{PIPESTATUS[0]}}", scene)
     assert done.stdout == "2\n", "an error without a reader keeps its exit code"
 
 
@@ -49,16 +48,16 @@ def test_a_full_output_ends_with_one_line_after_the_work(scene: Path) -> None:
     lost = "No space left on device: what was printed is lost, the work is complete"
     assert (done.returncode, done.stderr) == (1, f"polhode: error: standard output: {lost}\n")
     assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1
-    done = shell(f"{EVALUATE} > /dev/full", scene)
+    done = shell(f"{REFUSED} > /dev/full", scene)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
-    assert shell(f"{EVALUATE} 2> /dev/full", scene).returncode == 2
+    assert shell(f"{REFUSED} 2> /dev/full", scene).returncode == 2
 
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_closed_streams_do_not_matter(closed: str, scene: Path) -> None:
     done = shell(f"{THRESHOLD} {closed}", scene)
     assert (done.returncode, done.stderr) == (0, "")
-    assert shell(f"{EVALUATE} {closed}", scene).returncode == 2
+    assert shell(f"{REFUSED} {closed}", scene).returncode == 2
     if closed.count("&") == 3:
         assert shell(f"{SIMULATE} {closed}", scene).returncode == 0
         assert len(list(scene.glob("S/mav0/cam0/data/*.png"))) == 1

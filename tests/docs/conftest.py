@@ -14,6 +14,7 @@ from tests.docs.world import small_sequence
 QUICK_RUN = (
     *("--frontend.features.second", "None", "--pictures.views", "False", "--pictures.animation", "False"),
     *("--mapping.voxel-mm", "8", "--frontend.depth.method", "sgbm", "--runtime.workers", "1"),
+    *("--backend.bounds.intervals", "False"),
 )
 """Options that make a run short, besides the small sequence: the answer is that of any run."""
 

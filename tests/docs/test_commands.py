@@ -16,10 +16,12 @@ from tests.docs.command_check import check, check_mention
 from tests.docs.conftest import QUICK_RUN, StoredRuns, succeed
 from tests.docs.page_code import LEFT_OUT, PAGES, PROGRAMS, commands_in_text, fences, words_of
 from tests.docs.world import provide
+from tests.front_end_results import SharedFrontEnd
 
 OWN_TESTS = {"api.md": "tests/pipeline/test_api_page.py runs its code from top to bottom"}
 QUICK = {
     "run": QUICK_RUN,
+    "predict": ("--horizon", "4"),
     "plan": ("--horizon", "2", "--members", "100", "--confidence", "0.97"),
     "export": ("--pieces", "1", "--horizon", "4"),
     "compare": ("--compare.solvers", "gauss_newton"),
@@ -55,19 +57,24 @@ def test_commands_could_be_run_as_they_stand(page: str, monkeypatch: pytest.Monk
 @pytest.mark.usefixtures("coarse_keep_out")
 @pytest.mark.parametrize("page", [page for page, found in RUN.items() if found])
 def test_the_page_runs_from_top_to_bottom(
-    page: str, runs: StoredRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: str,
+    runs: StoredRuns,
+    front_end_once: SharedFrontEnd,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
-    for fence in RUN[page]:
-        if fence.language == "sh":
-            for command in fence.commands():
-                run_command(words_of(command), runs, monkeypatch)
-        else:
-            script = tmp_path / f"line_{fence.line}.py"
-            script.write_text(fence.body)
-            runpy.run_path(str(script), run_name=script.stem)
-            script.unlink()
+    with front_end_once():
+        for fence in RUN[page]:
+            if fence.language == "sh":
+                for command in fence.commands():
+                    run_command(words_of(command), runs, monkeypatch)
+            else:
+                script = tmp_path / f"line_{fence.line}.py"
+                script.write_text(fence.body)
+                runpy.run_path(str(script), run_name=script.stem)
+                script.unlink()
 
 
 def run_command(words: list[str], runs: StoredRuns, patch: pytest.MonkeyPatch) -> None:

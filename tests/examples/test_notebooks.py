@@ -9,6 +9,13 @@ from jupyter_client.manager import KernelManager
 from examples.execute_notebooks import execute, kernel, notebooks
 from tests.pipeline.conftest import make_example, write_example
 
+COARSE = """
+from functools import partial
+import polhode.api
+options = polhode.api.KeepOutOptions
+polhode.api.KeepOutOptions = partial(options, cells=options.cells // 2)
+"""
+"""Keep-out volumes have half the cells a side, as by the fixture ``coarse_keep_out``."""
 NAMES = [path.name for path in notebooks()]
 MAX_BYTES = 400_000
 
@@ -19,6 +26,9 @@ def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[KernelManager]
     folder = tmp_path_factory.mktemp("notebooks")
     (folder / "run").mkdir()
     write_example(folder / "run", make_example())
+    startup = folder / "ipython" / "profile_default" / "startup"
+    startup.mkdir(parents=True)
+    (startup / "coarse.py").write_text(COARSE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("POLHODE_RUN", str(folder / "run"))
         patch.setenv("IPYTHONDIR", str(folder / "ipython"))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from polhode.cli.main import main
 from polhode.config import Config
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import inverse_pose, make_pose, transform_points
@@ -58,6 +59,7 @@ QUICK = (
     *("--frontend.depth.method", "sgbm", "--mapping.voxel-mm", "6"),
 )
 """Where nothing is asked of pictures and surface"""
+FAST = (*QUICK, "--frontend.features.second", "None")
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,17 @@ def at_rest(make_once: MakeOnce) -> Path:
     scene = Config.model_validate({"scene": AT_REST}).scene
     assert scene is not None
     return make_once("at_rest", lambda folder: simulate(scene, 3, folder, Silent(), 1, False))
+
+
+@pytest.fixture(scope="session")
+def run_at_rest(at_rest: Path, make_once: MakeOnce) -> Path:
+    """The folder in which a run of this sequence with the options ``FAST`` is, R."""
+
+    def fill(folder: Path) -> None:
+        folder.mkdir()
+        assert main(["run", "--data", str(at_rest), "-o", str(folder / "R"), *FAST]) == 0
+
+    return make_once("run_at_rest", fill)
 
 
 @pytest.fixture(scope="session")

@@ -26,7 +26,8 @@ SCENE = SyntheticScene(
     frames=FRAMES, landmarks=120, detection=0.7, sigma_uv_px=0.3, sigma_d_px=0.3,
     J_G=np.diag([1.5, 1.2, 0.9]), w_G=(0.2, 0.8, 0.1),
 )  # fmt: skip
-NO_WINDOW = ("--backend.window.enabled", "false")
+NO_WINDOW = ("--backend.window.enabled", "false", "--backend.bounds.intervals", "false")
+"""Neither live states nor intervals: what follows when the motion has been found"""
 NOTHING = StereoFeatures(
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 4), dtype=np.float32)
 )

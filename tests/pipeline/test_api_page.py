@@ -24,6 +24,7 @@ from polhode.run_directory.trajectory_file import trajectory_of, write_trajector
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
+NO_PICTURES = {"pictures.animation": False, "pictures.views": False}
 PAGE = Path(__file__).parents[2] / "docs" / "api.md"
 
 
@@ -54,7 +55,7 @@ def page(
     (folder / "page.py").write_text(code)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr(polhode, "run", partial(polhode.run, resume=True))
+        patch.setattr(polhode, "run", partial(polhode.run, config=NO_PICTURES, resume=True))
         patch.setattr(stages, "open_context", opened)
         patch.setattr(RunContext, "of_frames", apart)
         # The mesh of so few frames is open; the distances from its hull would take most of the time.

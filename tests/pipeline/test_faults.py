@@ -14,7 +14,7 @@ from polhode.frontend.tracks.guided_matching import GuidedResult, reconnect
 from polhode.run_directory.trajectory_file import Trajectory, read_trajectory
 from polhode.runtime.errors import RunFailure
 from tests.front_end_results import SharedFrontEnd
-from tests.pipeline.conftest import QUICK, REST_FRAMES
+from tests.pipeline.conftest import FAST, REST_FRAMES
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +26,7 @@ def pairs_are_seen_once(front_end_once: SharedFrontEnd) -> Iterator[None]:
 
 def run(sequence: Path, folder: Path, code: int) -> tuple[dict[str, Any], Trajectory]:
     arguments = ["run", "configs/default.yaml", "--data", str(sequence), "-o", str(folder / "run")]
-    assert main([*arguments, *QUICK]) == code
+    assert main([*arguments, *FAST]) == code
     return json.loads((folder / "run" / "summary.json").read_text()), read_trajectory(folder / "run")
 
 

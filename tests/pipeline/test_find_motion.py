@@ -17,15 +17,13 @@ STILL = replace(SCENE, accel_psd=0.0, torque_psd=0.0)
 """Without disturbances the motion of two sequences is one, whatever is measured of it."""
 OTHER = replace(STILL, landmarks=150)
 """What the second method measures."""
-# window and intervals follow when the methods have been chosen
-OPTIONS = (*NO_WINDOW, "--backend.bounds.intervals", "false")
 Run = Callable[[SyntheticScene, SyntheticScene | None], Outcome]
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     made = partial(Outcome, tmp_path, monkeypatch, capfd)
-    return lambda first, second: made(first, *OPTIONS, second=second)
+    return lambda first, second: made(first, *NO_WINDOW, second=second)
 
 
 def test_frames_that_the_first_method_loses_are_found_by_the_second(run: Run) -> None:

@@ -14,31 +14,18 @@ import pytest
 import polhode.run_directory.finished_stages as stages_module
 from polhode.cli.main import main
 from polhode.files.record_files import write_record
-from tests.conftest import MakeOnce
-from tests.pipeline.conftest import QUICK
+from tests.pipeline.conftest import FAST
 from tests.pipeline.run_contents import contents
 
 Capture = pytest.CaptureFixture[str]
-FAST = (*QUICK, "--frontend.features.second", "None")
 
 
 def words(sequence: Path, place: Path, *more: str) -> list[str]:
     return ["run", "--data", str(sequence), "-o", str(place / "R"), *FAST, *more]
 
 
-@pytest.fixture(scope="module")
-def undisturbed(at_rest: Path, make_once: MakeOnce) -> Path:
-    """The folder in which a run of the sequence is, R."""
-
-    def fill(folder: Path) -> None:
-        folder.mkdir()
-        assert main(words(at_rest, folder)) == 0
-
-    return make_once("undisturbed", fill)
-
-
 def test_an_interrupted_run_says_so_and_the_resumed_one_has_the_same_bytes(
-    undisturbed: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    run_at_rest: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     for number in (4, 9):
         stored = list[str]()
@@ -57,11 +44,11 @@ def test_an_interrupted_run_says_so_and_the_resumed_one_has_the_same_bytes(
         assert [path.name for path in tmp_path.iterdir()] == [".R.partial"]
     assert main(words(at_rest, tmp_path, "--resume")) == 0
     assert "resuming: 13 results of stages are there" in capsys.readouterr().out
-    assert contents(tmp_path) == contents(undisturbed)
+    assert contents(tmp_path) == contents(run_at_rest)
     assert [path.name for path in tmp_path.iterdir()] == ["R"]
 
 
-def test_a_killed_run_resumes_to_the_same_bytes(undisturbed: Path, at_rest: Path, tmp_path: Path) -> None:
+def test_a_killed_run_resumes_to_the_same_bytes(run_at_rest: Path, at_rest: Path, tmp_path: Path) -> None:
     program = subprocess.Popen(
         [sys.executable, "-m", "polhode", *words(at_rest, tmp_path, "--runtime.workers", "2")],
         env=os.environ | {"PYTHONPATH": str(Path.cwd())},
@@ -80,35 +67,35 @@ def test_a_killed_run_resumes_to_the_same_bytes(undisturbed: Path, at_rest: Path
     stored[0].write_bytes(stored[0].read_bytes()[:1000])
     stored[0].with_name(f".{stored[0].stem}.partial-123.npz").write_bytes(b"half")
     assert main(words(at_rest, tmp_path, "--resume")) == 0
-    found, wanted = contents(tmp_path), contents(undisturbed)
+    found, wanted = contents(tmp_path), contents(run_at_rest)
     assert found == wanted
     assert [path.name for path in tmp_path.iterdir()] == ["R"]
 
 
 def test_another_configuration_computes_only_what_it_changes(
-    undisturbed: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    run_at_rest: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     more = ("--mapping.levels", "0.5", "--runtime.stages", "while_running")
     assert main(words(at_rest, tmp_path / "new", *more, "--resume")) == 0
     assert "there is nothing to resume: all is computed" in capsys.readouterr().out
     # stages need not be kept
     assert not (tmp_path / "new" / "R" / "stages").exists()
-    shutil.copytree(undisturbed / "R", tmp_path / "R")
+    shutil.copytree(run_at_rest / "R", tmp_path / "R")
     with monkeypatch.context() as patch:
         for name in ("correspondences.extract_features", "correspondences.match_rows"):
             patch.setattr(f"polhode.pipeline.{name}", lambda *_: pytest.fail("computed again"))
         patch.setattr("polhode.pipeline.depth_maps.extract_depth", lambda *_: pytest.fail("computed again"))
         assert main(words(at_rest, tmp_path, *more, "--resume")) == 0
     assert contents(tmp_path) == contents(tmp_path / "new")
-    assert contents(tmp_path)["R/mesh.ply"] == contents(undisturbed)["R/mesh.ply"]
-    assert contents(tmp_path)["R/summary.json"] != contents(undisturbed)["R/summary.json"]
+    assert contents(tmp_path)["R/mesh.ply"] == contents(run_at_rest)["R/mesh.ply"]
+    assert contents(tmp_path)["R/summary.json"] != contents(run_at_rest)["R/summary.json"]
 
 
 def test_a_run_of_another_sequence_or_a_stream_is_not_resumed(
-    undisturbed: Path, small_sequence: Path, tmp_path: Path, capsys: Capture
+    run_at_rest: Path, small_sequence: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    shutil.copytree(undisturbed / "R", tmp_path / "R")
-    shutil.copytree(undisturbed / "R" / "stages", tmp_path / ".killed.partial" / "stages")
+    shutil.copytree(run_at_rest / "R", tmp_path / "R")
+    shutil.copytree(run_at_rest / "R" / "stages", tmp_path / ".killed.partial" / "stages")
     before = {path for path in tmp_path.rglob("*.npz") if "sequence" not in path.parts}
     for name in ("R", "killed"):
         line = ["run", "--data", str(small_sequence), "-o", str(tmp_path / name), "--resume"]

@@ -130,7 +130,7 @@ def test_a_run_without_a_mesh_exports_what_it_can(bare: Path, tmp_path: Path, ca
     assert "relative, the middle moment is 1" in shown and "a mass alone does not set it" in shown
     assert mujoco.MjModel.from_xml_path(str(file)).ngeom == 0
     assert "relative, the middle moment is 1" in file.read_text()
-    content = document(bare, tmp_path)
+    content = document(bare, tmp_path, "--horizon", "2")
     assert content["shape"] is None and content["inertial"]["scale_is"] == "relative"
     assert any("shape is left out" in words for words in content["left_out"])
 
@@ -253,7 +253,7 @@ def test_the_same_run_gives_the_same_bytes(
 ) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for to in ("glb", "urdf", "oem"):
-        first, second = (export(run, to, tmp_path / f"{name}.{to}") for name in "ab")
+        first, second = (export(run, to, tmp_path / f"{name}.{to}", "--horizon", "5") for name in "ab")
         assert first.read_bytes().replace(b"a.urdf_meshes", b"b.urdf_meshes") == second.read_bytes()
     for file in (tmp_path / "a.urdf_meshes").iterdir():
         assert file.read_bytes() == (tmp_path / "b.urdf_meshes" / file.name).read_bytes()

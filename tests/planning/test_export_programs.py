@@ -149,10 +149,9 @@ def test_without_vhacd_there_is_the_convex_hull_and_it_is_said(
 def test_oem_readers_find_states_and_covariances(run: Path, tmp_path: Path) -> None:
     oem = pytest.importorskip("oem")
     ccsds_ndm = pytest.importorskip("ccsds_ndm")
-    file = export(
-        run, "oem", tmp_path / "box.oem", "--epoch", "2026-03-01T00:00:00", "--object-id", "1999-025A"
-    )
-    content = document(run, tmp_path)
+    options = ("--horizon", "10", "--epoch", "2026-03-01T00:00:00")
+    file = export(run, "oem", tmp_path / "box.oem", *options, "--object-id", "1999-025A")
+    content = document(run, tmp_path, *options)
     rows = [content["last"], *content["prediction"]]
     message = oem.OrbitEphemerisMessage.open(str(file))
     (segment,) = message.segments
@@ -243,7 +242,7 @@ def test_drake_accepts_sdf_and_urdf_with_their_meshes(
     from pydrake.geometry import Role, SceneGraph
     from pydrake.multibody.plant import MultibodyPlant
 
-    options = ("--mass-kg", "4.5", "--frame", "P", "--pieces", "8")
+    options = ("--mass-kg", "4.5", "--frame", "P", "--pieces", "8", "--horizon", "1")
     file = export(cross_run, to, tmp_path / f"cross.{to}", *options)
     plant, scene = MultibodyPlant(0.0), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene)

@@ -35,6 +35,11 @@ def judged(sequence: SyntheticSequence, jump_s: float = 0.0, only: bool = False)
     return window, states, said
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tumble: SyntheticSequence) -> Judged:
+    return judged(tumble)
+
+
 def test_innovations_have_the_covariance_that_is_stated(tumble: SyntheticSequence, feed: Feed) -> None:
     squared = []
     for seed in range(2):
@@ -45,8 +50,10 @@ def test_innovations_have_the_covariance_that_is_stated(tumble: SyntheticSequenc
 
 
 @pytest.mark.parametrize("jump_s", [7.3, -3.0, 0.05])
-def test_a_jump_of_the_clock_is_found_and_the_state_goes_on(tumble: SyntheticSequence, jump_s: float) -> None:
-    _, free, quiet = judged(tumble)
+def test_a_jump_of_the_clock_is_found_and_the_state_goes_on(
+    tumble: SyntheticSequence, undisturbed: Judged, jump_s: float
+) -> None:
+    _, free, quiet = undisturbed
     window, states, said = judged(tumble, jump_s)
     assert all(each.consistent for each in quiet[5:])
     n = JUMP_AT
@@ -59,8 +66,10 @@ def test_a_jump_of_the_clock_is_found_and_the_state_goes_on(tumble: SyntheticSeq
     assert (np.abs(states[-1].w_P - free[-1].w_P) < sigma[9:]).all() and (sigma[9:] < 0.01).all()
 
 
-def test_a_jump_too_small_to_tell_leaves_the_state_within_its_sigmas(tumble: SyntheticSequence) -> None:
-    _, free, _ = judged(tumble)
+def test_a_jump_too_small_to_tell_leaves_the_state_within_its_sigmas(
+    tumble: SyntheticSequence, undisturbed: Judged
+) -> None:
+    _, free, _ = undisturbed
     _, states, said = judged(tumble, 0.006)
     assert all(each.consistent and not each.reason for each in said[5:])
     for k in range(JUMP_AT, len(states)):

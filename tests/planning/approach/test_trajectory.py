@@ -11,7 +11,7 @@ from tests.planning.bodies import box, estimate
 def task(**changed: object) -> ApproachTask:
     values: dict[str, object] = {
         "start_N": np.array([0.1, 0.0, 0.1]), "goal_N": np.array([0.1, 0.0, 1.1]),
-        "via_N": np.array([0.5, 0.0, 0.6]), "duration_s": 20.0, "steps": 12, "radius_m": 0.05,
+        "via_N": np.array([0.5, 0.0, 0.6]), "duration_s": 20.0, "steps": 8, "radius_m": 0.05,
         "clearance_m": 0.02, "max_accel_m_s2": 0.05,
     }  # fmt: skip
     return ApproachTask(**(values | changed))  # type: ignore[arg-type]
