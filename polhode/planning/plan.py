@@ -17,7 +17,7 @@ from polhode.planning.approach.corridor import (
     towards_centre,
 )
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
-from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out, member_times
+from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out_of_all, member_times
 from polhode.planning.predict import final_estimates, require_horizon, undetermined_names
 from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 from polhode.records.mesh_metrics import distance_to_surface, encloses
@@ -31,6 +31,10 @@ from polhode.runtime.errors import InputError
 
 DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0
 """Shares of the body's size: a docking point farther from the surface gives a warning, or is refused."""
+OPEN_ROTATION = (
+    "the rotation is ambiguous, so that nobody knows where the docking point will be: take images at shorter "
+    "or unequal intervals, or state the fastest possible rotation (backend.max_rpm)"
+)
 
 
 @dataclass(frozen=True)
@@ -82,8 +86,13 @@ def surface_of(run: Path) -> SurfaceModel:
 
 
 def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
-    """All parts that the run allows; the others are named with the reason."""
-    estimate, summary = final_estimate(run)
+    """All parts that the run allows; the others are named with the reason.
+
+    A rotation that the images leave open has several hypotheses: the volume and the largest speeds are those
+    of all of them, and what belongs to a place on the target is left out.
+    """
+    estimates, summary = final_estimates(run), read_summary(run)
+    estimate = estimates[0]
     _require_options(options, estimate)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
@@ -93,20 +102,21 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     if len(summary.hypotheses) > 1:
         turns = "; ".join(f"{each.reason} (odds {each.odds:.2f})" for each in summary.hypotheses)
         notes.append(
-            f"The rotation is ambiguous ({turns}): the keep-out volume holds all of them; surface speed, "
-            "corridor and approach are those of the first."
+            f"The rotation is ambiguous ({turns}): the keep-out volume and the largest speeds of the surface "
+            "hold for all of them, its other speeds for the first."
         )
     if ranges := describe_intervals(summary):
         notes.append(f"By the hull of the body: {'; '.join(ranges)}.")
     found, speed, surface, path, approach = None, None, None, None, None
-    motion = nominal_motion(estimate, np.concatenate([[0.0], member_times(estimate, options.horizon_s)]))
+    times = np.concatenate([[0.0], member_times(estimates, options.horizon_s)])
+    motion, *other_motions = (nominal_motion(each, times) for each in estimates)
     try:
         surface = surface_of(run)
     except InputError as error:
         left_out["keepout"] = left_out["surface_speed"] = str(error)
     doubts = [] if docking is None else _check_docking(docking, surface, run)
     if surface is not None:
-        found, mesh = _keep_out(surface, final_estimates(run), options), surface.mesh
+        found, mesh = _keep_out(surface, estimates, options), surface.mesh
         rims = f"open boundaries span {found.body.open_share:.1%} of its area"
         notes.append(
             f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
@@ -118,9 +128,11 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         )
         notes.append(f"Parts that protrude where nothing was seen are not covered: {seen}.")
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-        speed = surface_speed(motion, vertices, normals, estimate.last.covariance)
+        speed = surface_speed(motion, vertices, normals, estimate.last.covariance, other_motions)
     if docking is None:
         left_out["corridor"] = "no --dock-point and --dock-axis"
+    elif other_motions:
+        left_out["corridor"] = OPEN_ROTATION
     else:
         notes += doubts
         path = docking.corridor(motion)
@@ -128,12 +140,15 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         # the camera's path from its last pose to the docking point, or towards the centre of mass
         X_NR = read_measurements(run / "measurements.npz").X_NR[-1]
         ahead = nominal_motion(estimate, np.linspace(0.0, options.horizon_s, POSES))
-        if docking is not None:
+        if docking is not None and other_motions:
+            left_out["approach"] = OPEN_ROTATION
+        elif docking is not None:
             approach = along_corridor(ahead, docking.corridor(ahead), X_NR, docking.stand_off_m)
         elif found is not None:
             farthest_m = np.linalg.norm(found.body.points_G - estimate.com_G, axis=1).max()
             # over the distance of the farthest part of the body with its margin
-            end_m = 1.5 * float(farthest_m + found.instant.margin_m().max())
+            margin_m = max(each.margin_m().max() for each in found.instant.hypotheses)
+            end_m = 1.5 * float(farthest_m + margin_m)
             approach = towards_centre(ahead, X_NR, end_m)
         else:
             why = "no surface, whose size decides how near the camera may come, and no --dock-point"
@@ -164,10 +179,8 @@ def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
 def _keep_out(
     surface: SurfaceModel, estimates: tuple[FinalEstimate, ...], options: KeepOutOptions
 ) -> KeepOut:
-    """The volume of the first estimate; swept by each of them, where there are several hypotheses."""
     try:
-        first, *others = (keep_out(surface, each, options) for each in estimates)
-        return first.united_with(others)
+        return keep_out_of_all(surface, estimates, options)
     except ValueError as error:
         raise InputError(f"--members {options.members}: {error}") from None
 

@@ -1,5 +1,6 @@
 """Faults of what was measured, by what the command says: its exit code, its warnings, the files it leaves."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -170,8 +171,13 @@ def test_a_rotation_that_the_images_leave_open_is_two_answers(run: Run) -> None:
         np.testing.assert_allclose(motion.R_NP[-1] @ motion.w_P[-1], rate, atol=0.05)
         assert np.isinf(motion.sigma_w).all()
     few = ("--horizon", "0.5", "--members", "100", "--confidence", "0.97")
-    assert main(["plan", str(folder), "-o", str(place), *few]) == 0
-    assert "the keep-out volume holds all of them" in (place / "planning.json").read_text()
+    dock = ("--dock-point", "0.1", "0", "0", "--dock-axis", "1", "0", "0")
+    assert main(["plan", str(folder), "-o", str(place), *few, *dock]) == 0
+    planned = json.loads((place / "planning.json").read_text())
+    assert "hold for all of them" in "".join(planned["notes"]) and not (place / "corridor.csv").exists()
+    assert planned["corridor"] is planned["approach"] is None
+    for name in ("corridor", "approach"):
+        assert planned["left_out"][name].startswith("the rotation is ambiguous")
     aem = str(folder.parent / "A.aem")
     assert main(["export", str(folder), "--to", "aem", "-o", aem, "--horizon", "1"]) == 0
     assert "COMMENT hypothesis 1 of 2" in Path(aem).read_text()

@@ -1,5 +1,6 @@
 """Speed of the surface past an inspector at rest, and the points that a grapple would meet most slowly."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,11 +33,31 @@ def surface_speed(
     p_G: Array,
     normal_G: Array,
     covariance_body: Array,
+    others: Sequence[BodyMotion] = (),
 ) -> SurfaceSpeed:
-    """Speeds of points (V, 3) in G; the motion begins at the last pair.
+    """Speeds of points (V, 3) in G; the motion begins at the last pair. The largest speed is that of the
+    ``others``, too: further hypotheses of the rotation.
 
     covariance_body (20, 20) of ``FinalState``. A point moves with v + w x (p - com).
     """
+    largest, mean = _largest_and_mean(motion, p_G)
+    for other in others:
+        largest = np.maximum(largest, _largest_and_mean(other, p_G)[0])
+    u = velocity(motion, 0, p_G)
+    now = np.linalg.norm(u, axis=1)
+    R = motion.R_NG[0]
+    along_G = np.divide(u, now[:, None], out=np.zeros_like(u), where=now[:, None] > 0.0) @ R
+    return SurfaceSpeed(
+        now,
+        largest,
+        mean,
+        np.einsum("ij,ij->i", u @ R, normal_G),
+        _sigma(motion, R, p_G, along_G, covariance_body),
+    )
+
+
+def _largest_and_mean(motion: BodyMotion, p_G: Array) -> tuple[Array, Array]:
+    """Speeds (V,) of points (V, 3) over the motion."""
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     total, largest = np.zeros(len(p_G)), np.zeros(len(p_G))
     for k in chosen:
@@ -46,17 +67,7 @@ def surface_speed(
         u = p_G @ (spin @ R).T + (motion.v_N[k] + spin @ lever)
         speed = np.sqrt(np.einsum("ij,ij->i", u, u))
         total, largest = total + speed, np.maximum(largest, speed)
-    u = velocity(motion, 0, p_G)
-    now = np.linalg.norm(u, axis=1)
-    R = motion.R_NG[0]
-    along_G = np.divide(u, now[:, None], out=np.zeros_like(u), where=now[:, None] > 0.0) @ R
-    return SurfaceSpeed(
-        now,
-        largest,
-        total / len(chosen),
-        np.einsum("ij,ij->i", u @ R, normal_G),
-        _sigma(motion, R, p_G, along_G, covariance_body),
-    )
+    return largest, total / len(chosen)
 
 
 def velocity(motion: BodyMotion, k: int | slice, p_G: Array) -> Array:

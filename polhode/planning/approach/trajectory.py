@@ -6,6 +6,7 @@ constraint is smooth and exact for the hull.
 """
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -73,14 +74,15 @@ def min_distance(keep_out: InstantKeepOut, trajectory: ApproachTrajectory) -> fl
 
 
 def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
-    K, dt, motion = task.steps, task.duration_s / task.steps, keep_out.motion
+    K, dt = task.steps, task.duration_s / task.steps
     farthest = 0.25 * task.max_accel_m_s2 * task.duration_s**2
     if np.linalg.norm(task.goal_N - task.start_N) > farthest:
         raise ValueError(
             f"no trajectory was found: from rest to rest the thrust reaches {farthest:.3g} m in this time"
         )
     hull, short_m = hull_points(keep_out.body.points_G, 100)
-    margin_m = keep_out.margin_m() + short_m + task.radius_m + task.clearance_m
+    alone_m = short_m + task.radius_m + task.clearance_m
+    bodies = [(each.motion, each.margin_m() + alone_m) for each in keep_out.hypotheses]
     program = ca.Opti()
     a, p, v = program.variable(3, K), program.variable(3, K + 1), program.variable(3, K + 1)
     program.subject_to(p[:, 0] == task.start_N)
@@ -98,7 +100,7 @@ def _solve(keep_out: InstantKeepOut, task: ApproachTask) -> ApproachTrajectory:
         program.subject_to(v[:, k + 1] == v[:, k] + dt * a[:, k])
         program.subject_to(ca.sumsqr(a[:, k]) <= task.max_accel_m_s2**2)
         # the separation is required at two instants inside each step
-        for share in (0.25, 0.75):
+        for share, (motion, margin_m) in product((0.25, 0.75), bodies):
             n = int(np.argmin(np.abs(motion.time_s - (k + share) * dt)))
             position = p[:, k] + share * dt * v[:, k] + 0.5 * (share * dt) ** 2 * a[:, k]
             corners, normal = hull @ motion.R_NG[n].T + motion.p_NG[n], program.variable(3)

@@ -8,6 +8,7 @@ their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei
 chooses the c of the smallest volume; the other half, independent of that choice, gives the margin.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -180,6 +181,13 @@ class InstantKeepOut:
     """(T, 6, 6) of the pose, shift and turn along G"""
     factor: float
     added_m: float
+    others: tuple["InstantKeepOut", ...] = ()
+    """Of other hypotheses of the rotation, at the same instants: the volume is the union of all"""
+
+    @cached_property
+    def hypotheses(self) -> tuple["InstantKeepOut", ...]:
+        """This one and the others."""
+        return (replace(self, others=()), *self.others) if self.others else (self,)
 
     def signed_distance(self, k: int, p_N: Array) -> Array:
         """Distance (n,) [m] of points (n, 3) in N from the volume at the motion's instant k, negative inside.
@@ -190,6 +198,9 @@ class InstantKeepOut:
             raise InputError(
                 f"instant {k}: give 0 to {len(self.motion.p_NG) - 1}, an index into motion.time_s"
             )
+        if self.others:
+            distances = [each.signed_distance(k, p_N) for each in self.hypotheses]
+            return np.asarray(np.min(distances, axis=0))
         p_G = (_points(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
         out, found, grid = np.empty(len(p_G)), np.empty(4), self.body.grid
         # the members were held against the grid, which tells nothing of places far from its surface
@@ -205,7 +216,7 @@ class InstantKeepOut:
         return SmallTriangles(self.body.grid.mesh())
 
     def margin_m(self) -> Array:
-        """(T,) the largest growth of the body for its pose."""
+        """(T,) the largest growth of the body for its pose, by the motion of this hypothesis."""
         lever_m = np.linalg.norm(self.body.points_G, axis=1).max()
         biggest = np.empty(len(self.covariance))
         for k, P in enumerate(self.covariance):
@@ -224,11 +235,12 @@ class KeepOut:
     instant: InstantKeepOut
 
     def united_with(self, others: list["KeepOut"]) -> "KeepOut":
-        """The same, swept over the motions of all of them; at an instant it stays that of this motion."""
+        """The same, by the motions of all of them, whose instants are the same."""
         if not others:
             return self
         levels = [self.swept.level, *(each.swept.level for each in others)]
-        return replace(self, swept=replace(self.swept, level=union_of(levels)))
+        instant = replace(self.instant, others=tuple(each.instant for each in others))
+        return replace(self, swept=replace(self.swept, level=union_of(levels)), instant=instant)
 
     def __repr__(self) -> str:
         horizon_s = self.instant.motion.time_s[-1]
@@ -262,11 +274,23 @@ def _points(p_N: Array) -> Array:
 
 def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
     """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
+    return keep_out_of_all(surface, (estimate,), options)
+
+
+def keep_out_of_all(
+    surface: SurfaceModel, estimates: Sequence[FinalEstimate], options: KeepOutOptions
+) -> KeepOut:
+    """Both volumes, of all hypotheses of the rotation; errors as ``keep_out``."""
     if options.members < options.members_needed:
         raise ValueError(f"a confidence of {options.confidence:g} needs {options.members_needed} members")
-    half = options.members // 2
     body = grown_body(surface, (1.0 - options.confidence) * SURFACE_SHARE, cover=options.cover)
-    times = member_times(estimate, options.horizon_s)
+    times = member_times(estimates, options.horizon_s)
+    first, *others = (_keep_out(body, estimate, times, options) for estimate in estimates)
+    return first.united_with(others)
+
+
+def _keep_out(body: MeasuredBody, estimate: FinalEstimate, times: Array, options: KeepOutOptions) -> KeepOut:
+    half = options.members // 2
     members = draw_ensemble(estimate, times, options.members, options.seed)
     motion = nominal_motion(estimate, times)
     halves = members.part(slice(0, half)), members.part(slice(half, None))
@@ -276,9 +300,9 @@ def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOpt
     return KeepOut(body, swept, instant)
 
 
-def member_times(estimate: FinalEstimate, horizon_s: float) -> Array:
+def member_times(estimates: Sequence[FinalEstimate], horizon_s: float) -> Array:
     """Instants (T,) > 0, the last at the horizon [s]."""
-    rate = float(np.linalg.norm(estimate.last.w_G))
+    rate = max(float(np.linalg.norm(each.last.w_G)) for each in estimates)
     steps = int(np.clip(np.ceil(horizon_s * rate / MEMBER_ROTATION_RAD), 100, MAX_MEMBER_STEPS))
     return np.asarray(np.linspace(horizon_s / steps, horizon_s, steps))
 

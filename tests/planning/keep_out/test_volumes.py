@@ -9,7 +9,7 @@ import trimesh
 
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
-from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out
+from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out, keep_out_of_all
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records.mesh_metrics import encloses
 from polhode.records.surface import SurfaceModel
@@ -165,14 +165,21 @@ def test_a_lone_sigma_is_held_by_its_neighbours() -> None:
 
 
 def test_the_volume_of_several_hypotheses_holds_each() -> None:
-    found = [
-        keep_out(ball(), estimate((0.0, 0.0, 0.1), v_N, size=1e-4), quick(10.0, cells=32))
-        for v_N in ((0.03, 0.01, 0.0), (-0.02, 0.0, 0.04))
+    hypotheses = [
+        estimate(w_G, v_N, size=1e-4)
+        for w_G, v_N in (((0.0, 0.0, 0.1), (0.03, 0.01, 0.0)), ((0.0, 0.0, -0.7), (-0.02, 0.0, 0.04)))
     ]
-    both = found[0].united_with(found[1:])
-    for each in found:
-        inside = each.swept.level.corners()[each.swept.level.values.ravel() <= 0.0]
+    surface, options = box(0.03), quick(10.0, cells=32)
+    both = keep_out_of_all(surface, hypotheses, options)
+    found = [keep_out(surface, each, options) for each in hypotheses]
+    for each, alone in zip(hypotheses, found, strict=True):
+        inside = alone.swept.level.corners()[alone.swept.level.values.ravel() <= 0.0]
         assert (both.swept.signed_distance(inside) <= 0.0).all()
+        # the body itself at an instant
+        k = len(both.instant.motion.time_s) // 2
+        there = nominal_motion(each, both.instant.motion.time_s)
+        places = surface.mesh.vertices @ there.R_NG[k].T + there.p_NG[k]
+        assert (both.instant.signed_distance(k, places) <= 0.0).all()
     volumes = [each.swept.volume_m3 for each in found]
     assert max(volumes) < both.swept.volume_m3 < 1.4 * sum(volumes)
     assert both.swept.mesh.is_watertight and found[0].united_with([]) is found[0]
