@@ -1,6 +1,7 @@
 """The predicted motion of a run's target: the last state propagated, as a table, an archive and text."""
 
 import math
+from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -209,7 +210,32 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
         before = np.unique(np.linspace(0, len(table.time_s) - 2, 20).astype(int))[::-1]
         past = table.time_s[before] - table.time_s[-1], table.R_NP[before] @ R_GP.T
     r_N, v_N, R_NG, w_G = table.r_N[-1], table.v_N[-1], table.R_NP[-1] @ R_GP.T, R_GP @ table.w_P[-1]
+    shifts = summary.intervals.com_shift_P if summary.intervals is not None else None
+    covariance = as_wide_as_bounds(covariance, R_GP, shifts or ())
     return FinalState(r_N, v_N, R_NG, w_G, J, R_GP, by_parameters, covariance, *past), summary
+
+
+def as_wide_as_bounds(
+    covariance: Array, R_GP: Array, shifts_P: Sequence[tuple[float, float] | None]
+) -> Array:
+    """Covariance (20, 20) of a ``FinalState``, with bounds of the centre of mass where it is not determined.
+
+    shifts_P (3): least and largest along each axis of P from the estimate; None: determined. Else the weak
+    prior's variance grows to the second moment about the estimate of what is anywhere between the bounds, and
+    what hangs on it follows.
+    """
+    out = covariance.copy()
+    for axis_G, ends in zip(R_GP.T, shifts_P, strict=False):
+        if ends is None:
+            continue
+        with_it = out[:, 17:20] @ axis_G
+        variance = float(axis_G @ with_it[17:20])
+        low, high = ends
+        wider = (low**2 + low * high + high**2) / 3.0 - variance
+        if wider > 0.0 and variance > 0.0:
+            follows = with_it / variance
+            out += wider * np.outer(follows, follows)
+    return out
 
 
 def final_estimates(run: Path) -> tuple[FinalEstimate, ...]:

@@ -38,6 +38,12 @@ from polhode.runtime.progress import Advance
 PAIRS = 128
 UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
+SMALLER = 0.7
+"""Factors by which changes of the inertia are reduced, so that most end near what is possible."""
+SELDOM = 25.0
+"""An inertia that needs a beginning so much more exact does not count"""
+PAST_TRIES, PAST_STEPS, PAST_STEP = 8, 2, 1e-4
+"""To find such a change; of Gauss-Newton; [rad, rad/s] of its derivatives"""
 IN_REGION = 0.99
 """Share of the errors in the regions of a prediction."""
 ROWS_AT_ONCE = 64
@@ -226,18 +232,21 @@ def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Arra
     deviation = normal @ root.T
     # linear in the parameters, so that directions without variance, such as off a spin axis, stay without
     change = np.einsum("nk,kij->nij", deviation[:, 12:17], last.J_jacobian)
-    for share_of in (_largest_share, _share_consistent_with_past):
-        share = share_of(last, deviation, change)
-        deviation[:, 12:17] *= share[:, None]
-        change *= share[:, None, None]
-    return deviation, last.J_G + change
+    share = _largest_share(last, change)
+    if last.past_s is not None and last.past_R_NG is not None:
+        # what of the attitude and the rate is left open when the inertia is given
+        by_inertia = np.linalg.pinv(last.covariance[12:17, 12:17], rcond=1e-12) @ last.covariance[12:17, 6:12]
+        own = deviation[:, 6:12] - deviation[:, 12:17] @ by_inertia
+        share, fitted = _consistent_with_past(last, last.past_s, last.past_R_NG, share, change)
+        deviation[:, 6:12] = own + fitted
+    deviation[:, 12:17] *= share[:, None]
+    return deviation, last.J_G + share[:, None, None] * change
 
 
-def _largest_share(last: FinalState, deviation: Array, change: Array) -> Array:
-    """Shares (N,) of the changes (N, 3, 3), halved until J + share change is a possible body."""
-    del deviation
+def _largest_share(last: FinalState, change: Array) -> Array:
+    """Shares (N,) of the changes (N, 3, 3), reduced until J + share change is a possible body."""
     share = np.ones(len(change))
-    for _ in range(12):
+    for _ in range(40):
         moved = last.J_G + share[:, None, None] * change
         half_trace = 0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None]
         values = np.linalg.eigvalsh(half_trace * np.eye(3) - moved)
@@ -245,36 +254,57 @@ def _largest_share(last: FinalState, deviation: Array, change: Array) -> Array:
         bad = values[:, 0] < 0.02 * values[:, 2]
         if not bad.any():
             break
-        share[bad] *= 0.5
+        share[bad] *= SMALLER
     return share
 
 
-def _share_consistent_with_past(last: FinalState, deviation: Array, change: Array) -> Array:
-    """Shares (N,) of the changes of J, halved until the member's past agrees with the observed one.
+def _consistent_with_past(
+    last: FinalState, past_s: Array, past_R_NG: Array, share: Array, change: Array
+) -> tuple[Array, Array]:
+    """Shares (N,) of the changes of J, reduced until the member's past agrees with the observed one, and the
+    deviations (N, 6) of attitude and rate at the end that make it agree best.
 
-    A linear covariance admits bodies whose spin would have flipped long ago. The past may differ from the
-    observed one by twice the estimate's own difference and three standard deviations of attitude and rate.
+    A linear covariance admits bodies whose spin would have flipped long ago, and misses those that spin about
+    the intermediate axis steadily, as they began so. The past may differ from the observed one by twice the
+    estimate's own difference and three standard deviations of attitude and rate; and the beginnings that lead
+    to it must not be SELDOM times rarer than the estimate's.
     """
-    share = np.ones(len(change))
-    if last.past_s is None or last.past_R_NG is None:
-        return share
-    past_s, past_R_NG = last.past_s, last.past_R_NG
+    prior = np.linalg.inv(last.covariance[6:12, 6:12])
+    variance = np.diag(last.covariance)[6:12]
 
-    def past(members: Array, J: Array) -> Array:
-        R, _ = propagate_members(last, members, J, past_s)
-        return np.asarray(np.linalg.norm(log_so3(np.swapaxes(R, -1, -2) @ past_R_NG[:, None]), axis=-1))
+    def off(x: Array, J: Array) -> Array:
+        """(H, N, 3) rotations from the observed past to that of members with deviations x (N, 6)."""
+        deviation = np.zeros((len(x), 20))
+        deviation[:, 6:12] = x
+        R, _ = propagate_members(last, deviation, J, past_s)
+        return np.asarray(log_so3(np.swapaxes(past_R_NG, -1, -2)[:, None] @ R))
 
-    own = past(np.zeros((1, 20)), last.J_G[None])[:, 0]
-    variance = np.diag(last.covariance)
-    free = variance[6:9].sum() + variance[9:12].sum() * past_s**2
-    limit = np.sqrt(4.0 * own**2 + 9.0 * free)
-    for factor in (1.0, 0.5, 0.25, 0.125, 0.0625):
-        open_ = np.flatnonzero(share == factor)
+    def best(J: Array) -> tuple[Array, Array, Array]:
+        """By Gauss-Newton: deviations (N, 6), the angles (H, N) that are left, and the logarithm of the share
+        (N,) of all beginnings that are left.
+        """
+        x, H = np.zeros((len(J), 6)), np.zeros((len(J), 6, 6))
+        for _ in range(PAST_STEPS):
+            left = off(x, J)
+            slopes = [(off(x + PAST_STEP * unit, J) - left) / PAST_STEP for unit in np.eye(6)]
+            A, per = np.stack(slopes, axis=-1), 1.0 / variance[:3].mean()
+            H = per * np.einsum("hnia,hnib->nab", A, A) + prior
+            g = per * np.einsum("hnia,hni->na", A, left) + x @ prior
+            x = x - np.linalg.solve(H, g[..., None])[..., 0]
+        return x, np.linalg.norm(off(x, J), axis=-1), -0.5 * np.linalg.slogdet(H)[1]
+
+    own = np.linalg.norm(off(np.zeros((1, 6)), last.J_G[None]), axis=-1)
+    fewest = best(last.J_G[None])[2][0] - np.log(SELDOM)
+    limit = np.sqrt(4.0 * own**2 + 9.0 * (variance[:3].sum() + variance[3:].sum() * past_s[:, None] ** 2))
+    share, fitted, open_ = share.copy(), np.zeros((len(change), 6)), np.arange(len(change))
+    for _ in range(PAST_TRIES):
+        fitted[open_], left, begin = best(last.J_G + share[open_, None, None] * change[open_])
+        open_ = open_[~((left <= limit).all(axis=0) & (begin > fewest))]
         if len(open_) == 0:
-            break
-        off = past(deviation[open_], last.J_G + factor * change[open_])
-        share[open_[(off > limit[:, None]).any(axis=0)]] = 0.5 * factor
-    return share
+            return share, fitted
+        share[open_] *= SMALLER
+    share[open_], fitted[open_] = 0.0, 0.0
+    return share, fitted
 
 
 def axes_jacobian(last: FinalState) -> Array:

@@ -17,6 +17,7 @@ from polhode.geometry.lie import exp_so3, log_so3
 from polhode.geometry.rigid_body import HALF_TURNS, best_half_turn, propagate
 from polhode.geometry.rigid_fit import mean_rotation
 from polhode.planning.predict import (
+    as_wide_as_bounds,
     prediction_times,
     shown_rows,
     undetermined_components,
@@ -222,3 +223,21 @@ def test_a_free_turn_about_an_axis_leaves_both_rates_across_it_open(rate: tuple[
     free_z = np.array([False, False, True])
     lost = undetermined_components(np.eye(12), np.zeros(3, dtype=np.bool_), free_z, states)
     assert lost[0].tolist() == [*[False] * 6, False, False, True, True, True, False]
+
+
+def test_a_centre_of_mass_that_is_not_determined_is_as_uncertain_as_its_bounds() -> None:
+    rng = np.random.default_rng(3)
+    root, R_GP = 1e-3 * rng.normal(size=(20, 20)), exp_so3(rng.normal(size=3))
+    covariance = root @ root.T
+    along = np.zeros(20)
+    along[17:20] = R_GP[:, 1]
+    found = as_wide_as_bounds(covariance, R_GP, (None, (-0.01, 0.05), None))
+    # the middle is 20 mm off, and the bounds are 30 mm from it
+    assert along @ found @ along == pytest.approx(0.02**2 + 0.03**2 / 3.0)
+    # the rest follows as it did: given the centre of mass nothing has changed
+    slope = covariance @ along / (along @ covariance @ along)
+    np.testing.assert_allclose(found @ along, slope * (along @ found @ along), rtol=1e-9)
+    rest = np.eye(20) - np.outer(slope, along)
+    np.testing.assert_allclose(rest @ found @ rest.T, rest @ covariance @ rest.T, atol=1e-16)
+    for unchanged in ((), (None, (-1e-5, 1e-5), None)):
+        np.testing.assert_array_equal(as_wide_as_bounds(covariance, R_GP, unchanged), covariance)

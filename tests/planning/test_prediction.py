@@ -165,6 +165,25 @@ def test_a_spin_that_was_long_steady_stays_predictable_though_its_inertia_is_und
     assert sigma_deg[2] < 0.5
 
 
+def test_members_may_spin_about_the_middle_axis_if_that_was_steady_as_it_began() -> None:
+    variances = np.repeat([1e-6, 1e-8, 1e-5, 1e-4, 0.3, 1e-8, 0.3, 1e-2], [3, 3, 3, 3, 2, 0, 3, 3])
+    variances[15:17] = 1e-8
+    last = last_body(np.diag(variances), np.array([0.0, 0.0, 0.6]))
+    past_s = -np.arange(1.0, 13.0)
+    past_R_NG = last.R_NG @ exp_so3(past_s[:, None] * last.w_G)
+    deviation, J = draw_deviations(replace(last, past_s=past_s, past_R_NG=past_R_NG))
+    axis = last.w_G / np.linalg.norm(last.w_G)
+    about = np.einsum("i,nij,j->n", axis, J, axis)
+    moments = np.linalg.eigvalsh(J)
+    middle = (about > 1.01 * moments[:, 0]) & (about < 0.99 * moments[:, 2])
+    assert middle.any()
+    # at the rates that are drawn for them, not at those of the estimate
+    R_NG, _ = propagate_members(last, np.where(np.arange(20) < 6, 0.0, deviation), J, past_s)
+    off = np.linalg.norm(log_so3(np.swapaxes(past_R_NG, 1, 2)[:, None] @ R_NG), axis=-1)
+    limit = 5.0 * np.sqrt(variances[6:9].sum() + variances[9:12].sum() * past_s**2)
+    assert (off < limit[:, None]).mean() > 0.95
+
+
 def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
     turns = log_so3(Rotation.random(20_000, rng=np.random.default_rng(0)).as_matrix())
     assert np.sqrt(np.mean(turns**2)) == pytest.approx(UNKNOWN_RAD, rel=0.01)
