@@ -379,12 +379,13 @@ def process_noise(moments: Array, w_P: Array, time_s: Array, accel_psd: float, t
         w, Q = y[:3], y[3:].reshape(6, 6)
         A = _attitude_error_dynamics(w, moments)
         Q_dot = A @ Q + Q @ A.T
-        Q_dot[3:, 3:] += torque_psd * np.diag(1.0 / moments**2)
+        # of a unit of torque: the integrator's tolerance is absolute, too
+        Q_dot[3:, 3:] += np.diag(1.0 / moments**2)
         return np.concatenate([np.cross(moments * w, w) / moments, Q_dot.ravel()])
 
     out, i = np.zeros((len(time_s), 12, 12)), np.arange(3)
     for rows, states in _integrate(derivative, np.concatenate([w_P, np.zeros(36)]), time_s):
-        out[rows, 6:, 6:] = states[:, 3:].reshape(-1, 6, 6)
+        out[rows, 6:, 6:] = torque_psd * states[:, 3:].reshape(-1, 6, 6)
     out[:, i, i] = accel_psd * time_s[:, None] ** 3 / 3
     out[:, i, i + 3] = out[:, i + 3, i] = accel_psd * time_s[:, None] ** 2 / 2
     out[:, i + 3, i + 3] = accel_psd * time_s[:, None]

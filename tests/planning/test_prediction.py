@@ -204,6 +204,11 @@ def test_drawn_deviations_have_the_covariance_and_drawn_bodies_are_possible() ->
     assert np.all(moments > 0.0) and np.all(moments[:, 0] + moments[:, 1] > moments[:, 2])
 
 
+def test_process_noise_is_in_proportion_to_its_level() -> None:
+    one, least = (process_noise(MOMENTS, W_P, np.array([5.0, 60.0]), psd, psd) for psd in (1.0, 1e-18))
+    np.testing.assert_allclose(1e18 * least, one, rtol=1e-9)
+
+
 def test_process_noise_matches_monte_carlo() -> None:
     rng = np.random.default_rng(5)
     psd, dt, steps = 1e-6, 0.1, 60

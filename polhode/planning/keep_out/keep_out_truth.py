@@ -56,7 +56,12 @@ def keep_out_truth(found: KeepOut, surface: SurfaceModel, run: Path, sequence: P
     body = true_body_ahead(run, sequence, motion.time_s[rows], POINTS)
     swept = np.full(len(body.p_G), -np.inf)
     for X in body.X_NG:
-        swept = np.maximum(swept, found.swept.signed_distance(body.p_G @ X[:3, :3].T + X[:3, 3]))
+        places = body.p_G @ X[:3, :3].T + X[:3, 3]
+        distance = found.swept.level.at(places)
+        # how deep a point is inside does not matter
+        outside = distance > 0.0
+        distance[outside] = found.swept.signed_distance(places[outside])
+        swept = np.maximum(swept, distance)
     few = slice(None, None, POINTS // FEW_POINTS)
     points, instant = body.p_G[few], np.full(len(body.p_G[few]), -np.inf)
     for i in np.unique(np.linspace(0, len(rows) - 1, FEW_INSTANTS).round().astype(int)):
