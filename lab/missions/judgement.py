@@ -60,8 +60,11 @@ def mesh_shares(run: Path, sequence: Path, summary: Summary, truth: Truth) -> di
 
     None: there is no surface.
     """
-    own, true_mesh = read_ply(run / "mesh.ply"), read_truth(sequence).mesh
-    if not len(own.mesh.faces) or true_mesh is None:
+    true_mesh = read_truth(sequence).mesh
+    if true_mesh is None or not (run / "mesh.ply").is_file():
+        return None
+    own = read_ply(run / "mesh.ply")
+    if not len(own.mesh.faces):
         return None
     table = read_trajectory(run)
     estimate = States(table.timestamps_ns, table.r_N, table.v_N, table.R_NP, table.w_P)
