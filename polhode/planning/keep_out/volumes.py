@@ -64,8 +64,8 @@ BEYOND_CELLS = 2.0
 """Beyond this from the surface the grid decides about the side, the triangles about the distance."""
 NEAREST_TRIANGLES = (16, 128)
 """Candidates, more for points that have not found the nearest one"""
-MAX_TRIES = 16
-"""To find how far a grid must reach, twice as far each time"""
+MAX_CELLS = 20_000_000
+"""Of a grid"""
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,9 @@ def _points(p_N: Array) -> Array:
 
 
 def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
-    """Both volumes. Raises ValueError without a surface, or with too few members for the confidence."""
+    """Both volumes. Raises ValueError without a surface, or with too few members for the confidence,
+    InputError where the motion is too uncertain.
+    """
     return keep_out_of_all(surface, (estimate,), options)
 
 
@@ -364,9 +366,11 @@ def _swept(
     fine = fine_times(motion, radius, step, options.horizon_s)
     at = np.clip(np.searchsorted(motion.time_s, fine), 0, len(motion.time_s) - 1)
     states, more_m = nominal_motion(estimate, fine), 4.0 * step
-    for _ in range(MAX_TRIES):
+    while True:
         origin = low - more_m
         shape = tuple(np.ceil((high - low + 2.0 * more_m) / step).astype(int) + 1)
+        if np.prod(shape) > MAX_CELLS:
+            raise InputError(f"--horizon {options.horizon_s:g}: too uncertain for a volume; look less far")
         fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
         sweep(
             fields, origin, step, FACTORS, states.R_NG, states.p_NG, P[at],
@@ -389,7 +393,6 @@ def _swept(
             whole = ScalarGrid(origin, step, np.minimum(level, np.float32(8.0 * step)))
             return SweptKeepOut(whole, float(FACTORS[best]), added)
         more_m = float(np.clip(1.1 * added, 2.0 * more_m, 4.0 * more_m))
-    raise ValueError("the motion is too uncertain for a volume")
 
 
 def reaches_border(level: Floats) -> bool:

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from polhode.geometry.lie import Array
+from polhode.planning.keep_out import volumes
 from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, conformal, keep_out, keep_out_of_all
 from polhode.planning.prediction import draw_ensemble, nominal_motion
@@ -76,6 +77,17 @@ def test_independent_draws_stay_inside_as_often_as_promised() -> None:
         quick(15.0),
     )  # fmt: skip
     assert bare.swept.volume_m3 < found.swept.volume_m3 < 1.5 * bare.swept.volume_m3
+
+
+@pytest.mark.parametrize(("size", "psd"), [(1e3, 0.0), (1.0, 1e-2)])
+def test_a_volume_of_any_size_is_closed_or_refused(
+    size: float, psd: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = estimate((0.0, 0.3, 0.1), (0.01, 0.0, 0.0), size, psd=psd)
+    assert keep_out(ball(), target, quick(20.0, 24)).swept.mesh.is_watertight
+    monkeypatch.setattr(volumes, "MAX_CELLS", 1000)
+    with pytest.raises(InputError, match="--horizon 20: too uncertain for a volume"):
+        keep_out(ball(), target, quick(20.0, 24))
 
 
 @pytest.mark.parametrize("seed", range(8))
