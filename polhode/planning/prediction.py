@@ -42,8 +42,8 @@ SMALLER = 0.7
 """Factors by which changes of the inertia are reduced, so that most end near what is possible."""
 SELDOM = 25.0
 """An inertia that needs a beginning so much more exact does not count"""
-PAST_TRIES, PAST_STEPS, PAST_STEP = 8, 2, 1e-4
-"""To find such a change; of Gauss-Newton; [rad, rad/s] of its derivatives"""
+PAST_TRIES, PAST_STEPS, PAST_STEP, PAST_TOLERANCE = 8, 2, 1e-3, 1e-5
+"""To find such a change; of Gauss-Newton; [rad/s] of its derivatives; of the integration"""
 IN_REGION = 0.99
 """Share of the errors in the regions of a prediction."""
 ROWS_AT_ONCE = 64
@@ -221,10 +221,7 @@ def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Arra
 
     ``normal`` (n, 20): independent standard normal numbers. Without: 2 PAIRS whose moments are exact.
     """
-    sigma = np.sqrt(np.diag(last.covariance))
-    scale = np.where(sigma > 0.0, sigma, 1.0)
-    values, vectors = np.linalg.eigh(last.covariance / scale[:, None] / scale)
-    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root = _root(last.covariance)
     if normal is None:
         z = np.random.default_rng([0, 60]).normal(size=(PAIRS, len(root)))
         z = z @ np.linalg.inv(np.linalg.cholesky(z.T @ z / PAIRS)).T
@@ -241,6 +238,14 @@ def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Arra
         deviation[:, 6:12] = own + fitted
     deviation[:, 12:17] *= share[:, None]
     return deviation, last.J_G + share[:, None, None] * change
+
+
+def _root(covariance: Array) -> Array:
+    """(n, n) whose product with its transpose is the covariance (n, n)."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _largest_share(last: FinalState, change: Array) -> Array:
@@ -272,12 +277,14 @@ def _consistent_with_past(
     prior = np.linalg.inv(last.covariance[6:12, 6:12])
     variance = np.diag(last.covariance)[6:12]
 
-    def off(x: Array, J: Array) -> Array:
-        """(H, N, 3) rotations from the observed past to that of members with deviations x (N, 6)."""
+    def off(x: Array, J: Array) -> tuple[Array, Array]:
+        """(H, N, 3) rotations from the observed past to that of members with deviations x (N, 6), and the
+        attitudes of these (H, N, 3, 3).
+        """
         deviation = np.zeros((len(x), 20))
         deviation[:, 6:12] = x
-        R, _ = propagate_members(last, deviation, J, past_s)
-        return np.asarray(log_so3(np.swapaxes(past_R_NG, -1, -2)[:, None] @ R))
+        R, _ = propagate_members(last, deviation, J, past_s, PAST_TOLERANCE)
+        return log_so3(np.swapaxes(past_R_NG, -1, -2)[:, None] @ R), R
 
     def best(J: Array) -> tuple[Array, Array, Array]:
         """By Gauss-Newton: deviations (N, 6), the angles (H, N) that are left, and the logarithm of the share
@@ -285,15 +292,18 @@ def _consistent_with_past(
         """
         x, H = np.zeros((len(J), 6)), np.zeros((len(J), 6, 6))
         for _ in range(PAST_STEPS):
-            left = off(x, J)
-            slopes = [(off(x + PAST_STEP * unit, J) - left) / PAST_STEP for unit in np.eye(6)]
-            A, per = np.stack(slopes, axis=-1), 1.0 / variance[:3].mean()
+            left, R = off(x, J)
+            # the rotation since does not depend on the attitude
+            by_attitude = np.swapaxes(R, -1, -2) @ (last.R_NG @ exp_so3(x[:, :3]))
+            by_rate = [(off(x + PAST_STEP * unit, J)[0] - left) / PAST_STEP for unit in np.eye(6)[3:]]
+            A = np.concatenate([by_attitude, np.stack(by_rate, axis=-1)], axis=-1)
+            per = 1.0 / variance[:3].mean()
             H = per * np.einsum("hnia,hnib->nab", A, A) + prior
             g = per * np.einsum("hnia,hni->na", A, left) + x @ prior
             x = x - np.linalg.solve(H, g[..., None])[..., 0]
-        return x, np.linalg.norm(off(x, J), axis=-1), -0.5 * np.linalg.slogdet(H)[1]
+        return x, np.linalg.norm(off(x, J)[0], axis=-1), -0.5 * np.linalg.slogdet(H)[1]
 
-    own = np.linalg.norm(off(np.zeros((1, 6)), last.J_G[None]), axis=-1)
+    own = np.linalg.norm(off(np.zeros((1, 6)), last.J_G[None])[0], axis=-1)
     fewest = best(last.J_G[None])[2][0] - np.log(SELDOM)
     limit = np.sqrt(4.0 * own**2 + 9.0 * (variance[:3].sum() + variance[3:].sum() * past_s[:, None] ** 2))
     share, fitted, open_ = share.copy(), np.zeros((len(change), 6)), np.arange(len(change))
@@ -317,17 +327,19 @@ def axes_jacobian(last: FinalState) -> Array:
     return np.where(known, 1.0, 0.0)[:, None] * turns / np.where(known, gaps, 1.0)[:, None]
 
 
-def propagate_members(last: FinalState, deviation: Array, J: Array, time: Array) -> tuple[Array, Array]:
+def propagate_members(
+    last: FinalState, deviation: Array, J: Array, time: Array, rtol: float = 1e-8
+) -> tuple[Array, Array]:
     """Attitudes (T, N, 3, 3) and rates (T, N, 3) in G of all members, at all times (T,) at once."""
     R_NG = np.empty((len(time), len(deviation), 3, 3))
     w_G = np.empty((len(time), len(deviation), 3))
-    for rows, R, w in _members_by_blocks(last, deviation, J, time):
+    for rows, R, w in _members_by_blocks(last, deviation, J, time, rtol):
         R_NG[rows], w_G[rows] = R, w
     return R_NG, w_G
 
 
 def _members_by_blocks(
-    last: FinalState, deviation: Array, J: Array, time: Array
+    last: FinalState, deviation: Array, J: Array, time: Array, rtol: float = 1e-8
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Consecutive times, and attitudes (t, N, 3, 3) and rates (t, N, 3) in G of all members there."""
     n = len(deviation)
@@ -350,7 +362,7 @@ def _members_by_blocks(
         )
         return np.concatenate([q_dot, w_dot.T]).ravel()
 
-    for rows, states in _integrate(derivative, start, time):
+    for rows, states in _integrate(derivative, start, time, rtol):
         parts = np.moveaxis(states.reshape(-1, 7, n), 1, 2)
         q = parts[..., :4] / np.linalg.norm(parts[..., :4], axis=-1, keepdims=True)
         yield rows, matrix_from_wxyz(q), parts[..., 4:]
@@ -401,7 +413,7 @@ def _attitude_error_dynamics(w: Array, moments: Array) -> Array:
 
 
 def _integrate(
-    derivative: Callable[[float, Array], Array], start: Array, time: Array
+    derivative: Callable[[float, Array], Array], start: Array, time: Array, rtol: float = 1e-8
 ) -> Iterator[tuple[slice, Array]]:
     """At most ROWS_AT_ONCE consecutive times, and the states (t, n) there; until all times (T,) are reached.
 
@@ -411,7 +423,7 @@ def _integrate(
     if time[-1] == 0.0:
         yield slice(0, 1), start[None]
         return
-    solver = DOP853(derivative, 0.0, start, float(time[-1]), rtol=1e-8, atol=1e-12)
+    solver = DOP853(derivative, 0.0, start, float(time[-1]), rtol=rtol, atol=1e-4 * rtol)
     distance = np.abs(time)
     first = done = 0
     block = np.empty((min(ROWS_AT_ONCE, len(time)), len(start)))
@@ -526,15 +538,18 @@ def _draw_in_range(estimate: FinalEstimate, count: int, rng: np.random.Generator
     """As ``draw_deviations``; members with a centre of mass out of its range are drawn again, and put to its
     end where that does not help in 30 draws.
     """
-    deviation, J = draw_deviations(estimate.last, rng.normal(size=(count, 20)))
+    normal = rng.normal(size=(count, 20))
     if estimate.com_range_G is None:
-        return deviation, J
+        return draw_deviations(estimate.last, normal)
     low, high = (end - estimate.com_G for end in estimate.com_range_G)
+    of_com = _root(estimate.last.covariance)[17:20]
     for _ in range(30):
-        outside = np.flatnonzero(((deviation[:, 17:20] < low) | (deviation[:, 17:20] > high)).any(axis=1))
+        com = normal @ of_com.T
+        outside = np.flatnonzero(((com < low) | (com > high)).any(axis=1))
         if len(outside) == 0:
             break
-        deviation[outside], J[outside] = draw_deviations(estimate.last, rng.normal(size=(len(outside), 20)))
+        normal[outside] = rng.normal(size=(len(outside), 20))
+    deviation, J = draw_deviations(estimate.last, normal)
     deviation[:, 17:20] = np.clip(deviation[:, 17:20], low, high)
     return deviation, J
 

@@ -202,13 +202,16 @@ class InstantKeepOut:
             distances = [each.signed_distance(k, p_N) for each in self.hypotheses]
             return np.asarray(np.min(distances, axis=0))
         p_G = (_points(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
-        out, found, grid = np.empty(len(p_G)), np.empty(4), self.body.grid
-        # the members were held against the grid, which tells nothing of places far from its surface
-        least, most = self._triangles.signed_distance(p_G)
+        out, sigma, found, grid = np.empty(len(p_G)), np.empty(len(p_G)), np.empty(4), self.body.grid
         for n, g in enumerate(p_G):
             linear(grid.values, grid.origin, grid.step_m, g[0], g[1], g[2], found)
-            out[n] = least[n] if least[n] > BEYOND_CELLS * grid.step_m else min(found[0], most[n])
-            out[n] -= self.factor * sigma_along(self.covariance[k], g[0], g[1], g[2], found)
+            out[n], sigma[n] = found[0], sigma_along(self.covariance[k], g[0], g[1], g[2], found)
+        # the members were held against the grid, which tells little of places far outside
+        outside = np.flatnonzero(out > 0.0)
+        least, most = self._triangles.signed_distance(p_G[outside])
+        near = least <= BEYOND_CELLS * grid.step_m
+        out[outside] = np.where(near, np.minimum(out[outside], most), least)
+        out -= self.factor * sigma
         return out - self.added_m
 
     @cached_property
