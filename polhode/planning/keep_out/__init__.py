@@ -7,4 +7,5 @@ a horizon, and the volume at each instant.
     measured_body    the surface grown by its own uncertainty, as a signed distance
     keep_out_truth   whether the true body left a volume, in simulation
     distance_fields  compiled loops: nearest points, the distance field swept over time, protrusions
+    small_triangles  distances to the surface of a grid
 """
