@@ -156,10 +156,11 @@ def largest_step(values: Array, sigma: Array) -> Step | None:
     best, least = None, np.inf
     for n in range(MIN_FRAMES, len(known) - MIN_FRAMES + 1):
         medians = weighted_median(v[:n], s[:n]), weighted_median(v[n:], s[n:])
-        residuals = np.abs(v - np.repeat(medians, (n, len(known) - n))) / s
+        off = (v - np.repeat(medians, (n, len(known) - n))) / s
+        residuals = np.abs(off)
         if residuals.sum() < least:
             least, sigmas = float(residuals.sum()), []
-            alike = _correlation_of_successive((v - np.repeat(medians, (n, len(known) - n))) / s)
+            alike = _correlation_of_successive(off)
             fewer = np.sqrt((1.0 + alike) / (1.0 - alike))
             for side in (slice(None, n), slice(n, None)):
                 scatter = 1.4826 * float(max(np.median(residuals[side]), np.median(residuals)))
