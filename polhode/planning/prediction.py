@@ -276,6 +276,7 @@ def _consistent_with_past(
     """
     prior = np.linalg.inv(last.covariance[6:12, 6:12])
     variance = np.diag(last.covariance)[6:12]
+    per, near = 1.0 / variance[:3].mean(), PAST_STEP * np.eye(7, 6, -1)[[0, 4, 5, 6]]
 
     def off(x: Array, J: Array) -> tuple[Array, Array]:
         """(H, N, 3) rotations from the observed past to that of members with deviations x (N, 6), and the
@@ -292,12 +293,13 @@ def _consistent_with_past(
         """
         x, H = np.zeros((len(J), 6)), np.zeros((len(J), 6, 6))
         for _ in range(PAST_STEPS):
-            left, R = off(x, J)
+            # each member and its neighbours in rate at once
+            found, R = off((x + near[:, None]).reshape(-1, 6), np.tile(J, (len(near), 1, 1)))
+            left, *beside = np.moveaxis(found.reshape(len(past_s), len(near), *x.shape[:1], 3), 1, 0)
             # the rotation since does not depend on the attitude
-            by_attitude = np.swapaxes(R, -1, -2) @ (last.R_NG @ exp_so3(x[:, :3]))
-            by_rate = [(off(x + PAST_STEP * unit, J)[0] - left) / PAST_STEP for unit in np.eye(6)[3:]]
-            A = np.concatenate([by_attitude, np.stack(by_rate, axis=-1)], axis=-1)
-            per = 1.0 / variance[:3].mean()
+            by_attitude = np.swapaxes(R[:, : len(x)], -1, -2) @ (last.R_NG @ exp_so3(x[:, :3]))
+            by_rate = np.stack([(each - left) / PAST_STEP for each in beside], axis=-1)
+            A = np.concatenate([by_attitude, by_rate], axis=-1)
             H = per * np.einsum("hnia,hnib->nab", A, A) + prior
             g = per * np.einsum("hnia,hni->na", A, left) + x @ prior
             x = x - np.linalg.solve(H, g[..., None])[..., 0]
