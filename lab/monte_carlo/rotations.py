@@ -5,7 +5,7 @@
 Random bodies, every other one with nearly equal moments, turn about an axis near the line of sight, so that
 the same side stays in view. Intervals are equal, or frames come up to 35 % of one early or late. Right:
 within 5 % of the rate's length. "open": more than one hypothesis, or disturbances that make the run degraded.
-Up to a revolution between pairs is stated (``backend.max_rpm``).
+Up to a revolution between pairs is stated (``backend.max_rpm``), or no limit.
 """
 
 from collections import Counter
@@ -34,7 +34,8 @@ OUTCOMES = (
 )
 RIGHT = 0.05
 KINDS = ("any body", "nearly equal moments")
-INTERVALS = {"equal": 0.0, "unequal": 0.35}
+UNSTATED = "equal, no limit stated"
+INTERVALS = {"equal": 0.0, "unequal": 0.35, UNSTATED: 0.0}
 """Share by which frames come early or late, at most"""
 
 
@@ -102,7 +103,8 @@ def measure(case: Case) -> Case:
     sequence = generate(scene, case["seed"])
     line = {"kind": KINDS[case["seed"] % 2], "turn_deg": turn_deg}
     try:
-        _, estimate = cold_start(sequence, Backend(solver="gauss_newton", max_rpm=60.0 / scene.dt_s))
+        max_rpm = None if case["intervals"] == UNSTATED else 60.0 / scene.dt_s
+        _, estimate = cold_start(sequence, Backend(solver="gauss_newton", max_rpm=max_rpm))
     except RunFailure:
         return line | {"outcome": "no answer", "odds": []}
     true_N = sequence.truth.R_NP[-1] @ sequence.truth.w_P[-1]
