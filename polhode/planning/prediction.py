@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from scipy.special import chdtr, chdtri, gammaincinv, polygamma
+from scipy.special import chdtr, chdtri, fdtri, gammaincinv, polygamma
 
 from polhode.geometry.lie import (
     Array,
@@ -153,6 +153,7 @@ def predict(
     most = np.sqrt(np.hstack([np.full_like(w_P, UNKNOWN_RAD**2), rate[:, None] + w_P**2]))
     of_marks, of_noise = of_axes.copy(), np.diagonal(of_axes, axis1=1, axis2=2).copy()
     by_last_state, of_state = _by_last_state(deviation), np.empty_like(of_noise)
+    tails = np.empty((len(time), 4))
     for rows, R, w in _members_by_blocks(last, deviation, J, time):
         dr = deviation[:, 0:3] + time[rows, None, None] * deviation[:, 3:6]
         dv = np.broadcast_to(deviation[:, 3:6], dr.shape)
@@ -166,9 +167,9 @@ def predict(
         lever = np.einsum("tnij,nj->tni", R, com)
         swing = np.einsum("tnij,tnj->tni", R, np.cross(w, com))
         dw = (w - w_G[rows, None]) @ R_GP
-        of_marks[rows] += _second_moments(
-            np.concatenate([dr - lever, dv - swing, log_so3(R_PP), dw], axis=-1)
-        )
+        marks = np.concatenate([dr - lever, dv - swing, log_so3(R_PP), dw], axis=-1)
+        of_marks[rows] += _second_moments(marks)
+        tails[rows] = _fourth_moments(marks)
         for covariance in (of_axes, of_marks):
             covariance[rows] = _no_worse_than_unknown(covariance[rows], most[rows])
         advance()
@@ -176,8 +177,8 @@ def predict(
     by_inertia = np.maximum(whole - of_noise - of_state, 0.0)
     parts = np.sqrt(np.stack([of_state, by_inertia, of_noise], axis=1))
     share = (of_noise / np.maximum(whole, 1e-300)).reshape(-1, 4, 3).max(axis=2)
-    accel, torque = level_decades
-    regions = np.hstack([region_sigmas(share[:, :2], accel), region_sigmas(share[:, 2:], torque)])
+    by_level = [region_sigmas(share[:, 2 * n : 2 * n + 2], each) for n, each in enumerate(level_decades)]
+    regions = np.maximum(np.hstack(by_level), _region_by_tails(1.0 + (1.0 - share) ** 2 * (tails - 1.0)))
     return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, regions)
 
 
@@ -214,6 +215,12 @@ def region_sigmas(noise_share: Array, decades: float) -> Array:
     variance = np.maximum(1.0 + share[:, None] * (levels / levels.mean() - 1.0), 1e-12)
     squares = [brentq(lambda s, of=of: chdtr(3.0, s / of).mean() - IN_REGION, 0.0, 1e4) for of in variance]
     return np.asarray(np.interp(noise_share, share, np.sqrt(squares)))
+
+
+def _region_by_tails(tails: Array) -> Array:
+    """As ``region_sigmas``, of Student's distribution; tails (...,): fourth moments, 1 of a normal one."""
+    freedom = (4.0 * tails - 2.0) / np.maximum(tails - 1.0, 1e-6)
+    return np.asarray(np.sqrt(3.0 * (1.0 - 2.0 / freedom) * fdtri(3.0, freedom, IN_REGION)))
 
 
 def draw_deviations(last: FinalState, normal: Array | None = None) -> tuple[Array, Array]:
@@ -373,6 +380,18 @@ def _members_by_blocks(
 def _second_moments(d: Array) -> Array:
     """Mean square (T, 12, 12) of deviations (T, N, 12) about the prediction itself."""
     return np.asarray(np.swapaxes(d, 1, 2) @ d / d.shape[1])
+
+
+def _fourth_moments(d: Array) -> Array:
+    """Of deviations (T, N, 12) in position, velocity, attitude, rate: (T, 4), 1 of normal distributions.
+
+    Less twice what the mean of three components of independent pairs scatters, and no less than 1.
+    """
+    squares = d**2
+    normal = 3.0 * np.maximum(squares.mean(axis=1), 1e-100) ** 2
+    moments = (squares**2).mean(axis=1) / normal
+    scatter = np.sqrt(96.0 / 3.0 / PAIRS) / 3.0
+    return np.asarray(np.maximum(moments.reshape(-1, 4, 3).mean(axis=2) - 2.0 * scatter, 1.0))
 
 
 def _no_worse_than_unknown(covariance: Array, most: Array) -> Array:

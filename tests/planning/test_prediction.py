@@ -286,6 +286,19 @@ def test_a_region_holds_its_share_of_errors_under_an_uncertain_level() -> None:
     assert found.region_sigmas[1, 2] > 1.15 * given.region_sigmas[1, 2]
 
 
+def test_a_region_holds_its_share_where_few_members_make_most_of_the_variance() -> None:
+    # a rotation near the middle axis: most members stay there, some have begun to flip
+    covariance = np.diag(np.repeat([0.0, 0.005, 0.0], [9, 3, 8]) ** 2)
+    last, t = last_body(covariance, np.array([0.01, 0.5, 0.0])), np.array([40.0])
+    found = predict(last, t, 0.0, 0.0)
+    deviation, J = draw_deviations(last, np.random.default_rng(3).normal(size=(4000, 20)))
+    _, w = propagate_members(last, deviation, J, t)
+    error = w[0] @ R_GP - found.w_P[0]
+    square = np.einsum("ni,ij,nj->n", error, np.linalg.inv(found.covariance[0][9:, 9:]), error)
+    assert np.mean(square < chi2.ppf(0.99, 3)) < 0.97
+    assert 0.98 < np.mean(square < found.region_sigmas[0, 3] ** 2) < 0.999
+
+
 def test_parts_of_the_sigmas_are_those_of_what_causes_them() -> None:
     covariance, t, psd = small_covariance(3), [20.0], 1e-8
     whole = predict(last_body(covariance), t, psd, psd)
