@@ -40,6 +40,8 @@ UNKNOWN_RAD = float(np.sqrt((np.pi**2 / 3.0 + 2.0) / 3.0))
 """Root mean square of each component of the rotation vector of a uniformly distributed attitude."""
 SMALLER = 0.7
 """Factors by which changes of the inertia are reduced, so that most end near what is possible."""
+LEAST_MOMENT = 0.02
+"""Least second moment of a body over its largest"""
 SELDOM = 25.0
 """An inertia that needs a beginning so much more exact does not count"""
 PAST_TRIES, PAST_STEPS, PAST_STEP, PAST_TOLERANCE = 8, 2, 1e-3, 1e-5
@@ -256,18 +258,24 @@ def _root(covariance: Array) -> Array:
 
 
 def _largest_share(last: FinalState, change: Array) -> Array:
-    """Shares (N,) of the changes (N, 3, 3), reduced until J + share change is a possible body."""
-    share = np.ones(len(change))
+    """Shares (N,) of the changes (N, 3, 3), reduced until J + share change is a possible body.
+
+    Second moments: the least over the largest is at least LEAST_MOMENT, or half of the estimate's.
+    """
+    share, least = np.ones(len(change)), min(LEAST_MOMENT, 0.5 * float(_least_moment(last.J_G)))
     for _ in range(40):
-        moved = last.J_G + share[:, None, None] * change
-        half_trace = 0.5 * np.trace(moved, axis1=1, axis2=2)[:, None, None]
-        values = np.linalg.eigvalsh(half_trace * np.eye(3) - moved)
-        # second moments, the least over the largest
-        bad = values[:, 0] < 0.02 * values[:, 2]
+        bad = _least_moment(last.J_G + share[:, None, None] * change) < least
         if not bad.any():
             break
         share[bad] *= SMALLER
     return share
+
+
+def _least_moment(J: Array) -> Array:
+    """The least over the largest second moment of inertias (..., 3, 3)."""
+    half_trace = 0.5 * np.trace(J, axis1=-2, axis2=-1)[..., None, None]
+    values = np.linalg.eigvalsh(half_trace * np.eye(3) - J)
+    return np.asarray(values[..., 0] / values[..., 2])
 
 
 def _consistent_with_past(

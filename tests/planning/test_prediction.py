@@ -195,9 +195,12 @@ def test_an_attitude_is_never_less_known_than_not_at_all() -> None:
 
 def test_drawn_deviations_have_the_covariance_and_drawn_bodies_are_possible() -> None:
     covariance = small_covariance(3)
-    deviation, _ = draw_deviations(last_body(covariance))
-    np.testing.assert_allclose(deviation.T @ deviation / len(deviation), covariance, rtol=1e-6, atol=1e-14)
-    np.testing.assert_allclose(deviation.mean(axis=0), 0.0, atol=1e-12)
+    # the second one is a plate, thinner than other bodies may become
+    for moments in (MOMENTS, np.array([1.79, 1.0, 0.8])):
+        deviation, _ = draw_deviations(last_body(covariance, moments=moments))
+        spread = deviation.T @ deviation / len(deviation)
+        np.testing.assert_allclose(spread, covariance, rtol=1e-6, atol=1e-14)
+        np.testing.assert_allclose(deviation.mean(axis=0), 0.0, atol=1e-12)
     wild = np.diag(np.repeat([1e-6, 1.0, 1e-6], [12, 5, 3]))
     _, J = draw_deviations(last_body(wild))
     moments = np.linalg.eigvalsh(J)
