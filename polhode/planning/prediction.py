@@ -171,7 +171,7 @@ def predict(
         dw = (w - w_G[rows, None]) @ R_GP
         marks = np.concatenate([dr - lever, dv - swing, log_so3(R_PP), dw], axis=-1)
         of_marks[rows] += _second_moments(marks)
-        tails[rows] = _fourth_moments(marks)
+        tails[rows] = np.maximum(_fourth_moments(own), _fourth_moments(marks))
         for covariance in (of_axes, of_marks):
             covariance[rows] = _no_worse_than_unknown(covariance[rows], most[rows])
         advance()
@@ -179,8 +179,10 @@ def predict(
     by_inertia = np.maximum(whole - of_noise - of_state, 0.0)
     parts = np.sqrt(np.stack([of_state, by_inertia, of_noise], axis=1))
     share = (of_noise / np.maximum(whole, 1e-300)).reshape(-1, 4, 3).max(axis=2)
-    by_level = [region_sigmas(share[:, 2 * n : 2 * n + 2], each) for n, each in enumerate(level_decades)]
-    regions = np.maximum(np.hstack(by_level), _region_by_tails(1.0 + (1.0 - share) ** 2 * (tails - 1.0)))
+    accel, torque = level_decades
+    regions = np.hstack([region_sigmas(share[:, :2], accel), region_sigmas(share[:, 2:], torque)])
+    # disturbances without tails leave this of the members'
+    regions = np.maximum(regions, _region_by_tails(1.0 + (1.0 - share) ** 2 * (tails - 1.0)))
     return Prediction(time, r_N, v_N, R_NP, w_P, of_axes, of_marks, parts, regions)
 
 

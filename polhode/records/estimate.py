@@ -381,5 +381,5 @@ class Prediction:
     and by disturbances"""
     region_sigmas: Array
     """(T, 4) standard deviations that the regions of r, v, theta and w extend which hold 99 %: the root of
-    e^T C^-1 e there, e an error of three components and C its block of ``covariance``. 3.37 where errors
-    are normally distributed"""
+    e^T C^-1 e there, e an error of three components and C its block of ``covariance``, or of
+    ``covariance_of_marks``. 3.37 where errors are normally distributed"""
