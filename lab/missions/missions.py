@@ -62,6 +62,7 @@ def main(
     print_outcomes(lines)
     print_consistency(lines)
     print_predictions(lines)
+    print_predictions([line for line in lines if not wrongs(line)])
     print_checks(lines)
 
 
@@ -146,12 +147,13 @@ def outcome(line: Case) -> str:
 
 
 def print_consistency(lines: Sequence[Case]) -> None:
-    """Squared errors over their expectation, pooled: all, and by half."""
+    """Squared errors over their expectation, pooled: all, by half, without those that are wrong; medians."""
     rows = []
-    for title in ("all", "chosen", "held back"):
-        some = [line for line in lines if title in ("all", line["case"]["half"])]
+    for title in ("all", "chosen", "held back", "not wrong"):
+        some = [line for line in lines if title in ("all", line["case"]["half"], wrongs(line) or "not wrong")]
         if some:
             rows.append([title, *(_pooled_cell(some, quantity) for quantity in QUANTITIES)])
+    rows.append(["the median one", *(_median_cell(lines, quantity) for quantity in QUANTITIES)])
     print("\nmean squared error over its expectation in its band (within three sigma [%])\n")
     print_table(("missions", *QUANTITIES), rows, right_from=1)
     inside = [each["inside"] for line in lines for each in line.get("intervals", {}).values()]
@@ -176,6 +178,13 @@ def _pooled_cell(lines: Iterable[Case], quantity: str) -> str:
         f"({100.0 * result['coverage']:.1f})"
     )
     return text if holds(result) else f"**{text}**"
+
+
+def _median_cell(lines: Iterable[Case], quantity: str) -> str:
+    """Of the ratios of the missions that claim it, and how many have more than 3."""
+    entries = [line["consistency"][quantity] for line in lines if quantity in line.get("consistency", {})]
+    ratios = np.array([each["nees"] / each["expected"] for each in entries])
+    return f"{np.median(ratios):.2f} (above 3: {np.sum(ratios > 3.0)} of {len(ratios)})" if entries else "-"
 
 
 def print_predictions(lines: Sequence[Case]) -> None:
