@@ -102,10 +102,16 @@ def nonlinear_turns(derivative: AxesDerivative, cov_J: Array, w_P: Array, lost: 
 
 
 def _deviations(derivative: AxesDerivative, cov_J: Array) -> Array:
-    """Pairs of opposite deviations of xi (2 N_PAIRS, 5) whose second moments are exactly cov_J (5, 5)."""
+    """Pairs of opposite deviations of xi (2 N_PAIRS, 5) whose second moments are exactly cov_J (5, 5).
+
+    Raises LinAlgError where a variance is negative: the information is singular but for rounding.
+    """
     to_P = np.vstack([derivative.ratios, derivative.axes])
     covariance = to_P @ cov_J @ to_P.T
-    scale = np.sqrt(np.diag(covariance)) + 1e-300
+    variance = np.diag(covariance)
+    if not np.all(variance >= 0.0):
+        raise np.linalg.LinAlgError("the covariance of the inertia is not positive definite")
+    scale = np.sqrt(variance) + 1e-300
     # one that is singular, as of a known ratio, has a factor too; unlike eigenvectors it has definite signs
     factor = np.linalg.cholesky(covariance / np.outer(scale, scale) + 1e-12 * np.eye(5)) * scale[:, None]
     z = np.random.default_rng([0, 4]).normal(size=(N_PAIRS, 5))

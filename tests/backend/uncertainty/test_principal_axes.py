@@ -83,3 +83,9 @@ def test_a_free_turn_leaves_the_worse_tilt_in_both_directions() -> None:
     np.testing.assert_allclose(mixed, np.diag([4.0, worst, worst]))
     np.testing.assert_array_equal(free_axis_covariance(covariance, np.array([False] * 3)), covariance)
     np.testing.assert_array_equal(free_axis_covariance(covariance, np.array([True, True, False])), covariance)
+
+
+def test_a_negative_variance_is_said_and_not_drawn_from() -> None:
+    _, derivative = at([1.2, 1.0, 0.7])
+    with pytest.raises(np.linalg.LinAlgError, match="covariance of the inertia is not positive definite"):
+        ratio_covariance(derivative, np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6]))
