@@ -67,11 +67,20 @@ class CalibrationPrior:
 
     @cached_property
     def factor(self) -> Array:
-        """(n, c) with factor factor^T the covariance: one sigma each of c independent errors."""
+        """(n, c) with factor factor^T the covariance: one sigma each of c independent errors.
+
+        Cholesky's, without the columns of what is exact: unlike eigenvectors it is the same on all
+        processors, so that a seed draws the same errors.
+        """
         scale = self.sigma
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale).clip(1e-300))
-        used = values > 1e-9
-        return np.asarray(scale[:, None] * vectors[:, used] * np.sqrt(values[used]))
+        left = self.covariance / np.outer(scale, scale).clip(1e-300)
+        columns = []
+        for k in range(len(left)):
+            # of a variance of 1, what the errors before leave
+            if left[k, k] > 1e-9:
+                columns.append(left[:, k] / np.sqrt(left[k, k]))
+                left = left - np.outer(columns[-1], columns[-1])
+        return scale[:, None] * np.reshape(columns, (-1, len(left))).T
 
     def without(self, *starts: str) -> "CalibrationPrior":
         """Exact where names begin so."""

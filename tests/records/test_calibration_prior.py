@@ -134,3 +134,10 @@ def test_names_are_those_of_the_lenses() -> None:
     names = parameter_names(fisheye)
     assert len(names) == len(set(names)) == 2 * 8 + 12 + 1
     assert np.isfinite(default_prior(fisheye).covariance).all()
+
+
+def test_the_errors_of_a_seed_do_not_depend_on_the_signs_of_eigenvectors() -> None:
+    # the third error is the sum of the others, the fourth is exact
+    root = np.array([[2.0, 0.0], [-1.0, 3.0], [1.0, 3.0], [0.0, 0.0]])
+    found = CalibrationPrior(("a", "b", "c", "d"), root @ root.T, "a test").factor
+    np.testing.assert_allclose(found, root, atol=1e-12)
