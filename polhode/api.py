@@ -356,7 +356,7 @@ class Run:
         horizon_s: float = 60.0,
         confidence: float = 0.99,
         *,
-        members: int = 800,
+        members: int | None = None,
         cover: Cover = "auto",
     ) -> KeepOut:
         """The space that the target may sweep over the horizon, in N; ``signed_distance`` of points in it.

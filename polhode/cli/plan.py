@@ -29,12 +29,14 @@ class PlanCommand(Command):
     horizon_s: Annotated[float, Named("S", "--horizon")] = 60.0
     """Time to predict beyond the last stereo pair [s]."""
     confidence: Annotated[float, Named("SHARE")] = 0.99
-    """Probability that the whole surface stays inside the volume at all instants, 0.5 to 0.999."""
-    cover: Literal["auto", "surface", "hull"] = "auto"
-    """The body that is kept out of: the measured surface and what it encloses, or its convex hull. auto: the
-    hull where open boundaries span more than 1 % of the area."""
-    members: Annotated[int, Named("N"), Field(ge=1, le=100_000)] = 800
-    """Motions drawn from the covariance."""
+    """Probability that the whole body stays inside the volume at all instants, 0.5 to 0.9999."""
+    cover: Literal["auto", "possible", "outlines", "surface", "hull"] = "auto"
+    """The body that is kept out of. surface: what was measured and what it encloses; outlines: also what the
+    outlines of several frames show; possible: also what no frame excludes; hull: the convex hull of what
+    outlines show. auto: possible, or, in a run of an earlier version, surface where the mesh is closed and
+    hull where it is open."""
+    members: Annotated[int | None, Named("N"), Field(ge=60, le=100_000)] = None
+    """Motions drawn from the covariance; by default 600 up to 99 %, more beyond."""
     dock_point: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
     """Docking point in G [m]."""
     dock_axis: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
@@ -51,6 +53,7 @@ class PlanCommand(Command):
         from polhode.planning.keep_out.volumes import KeepOutOptions
         from polhode.planning.plan import Docking, plan_run
         from polhode.planning.plan_files import format_plan, plan_folder, summary_of, write_plan
+        from polhode.runtime.console import choose_progress
 
         with plan_folder(self.output) as place:
             if (self.dock_point is None) != (self.dock_axis is None):
@@ -64,7 +67,7 @@ class PlanCommand(Command):
                 point, axis = np.array(self.dock_point), np.array(self.dock_axis)
                 docking = Docking(point, axis, self.stand_off_m, self.isp_s)
             wanted = KeepOutOptions(self.horizon_s, self.confidence, members=self.members, cover=self.cover)
-            plan = plan_run(self.run, wanted, docking)
+            plan = plan_run(self.run, wanted, docking, choose_progress())
             names = write_plan(plan, place)
         return Answer(
             f"{', '.join(names)}: {self.output}",

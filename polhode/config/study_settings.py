@@ -115,11 +115,11 @@ class PlanOptions(Section):
 
     horizon_s: float = Field(60.0, gt=0, le=1e6)
     """Time to predict beyond the last stereo pair [s]."""
-    confidence: float = Field(0.99, ge=0.5, le=0.999)
+    confidence: float = Field(0.99, ge=0.5, le=0.9999)
     """Probability that the whole surface stays inside the keep-out volume."""
-    members: int = Field(800, ge=1, le=100_000)
+    members: int | None = Field(None, ge=60, le=100_000)
     """Motions drawn from the covariance."""
-    cover: Literal["auto", "surface", "hull"] = "auto"
+    cover: Literal["auto", "possible", "outlines", "surface", "hull"] = "auto"
     """The body that is kept out of."""
 
 

@@ -1,11 +1,12 @@
 """Depth maps and the motion to a fused surface, and to the check of a rotation about an axis of symmetry."""
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 
 import numpy as np
 
+from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array
 from polhode.mapping.fusion.field import fuse
 from polhode.pipeline.checks.answer_checks.symmetry_turn import rotation_check, views_of_pairs
@@ -13,6 +14,7 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.depth_maps import DepthMaps, freed_depth
 from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.runner import stage
+from polhode.records.estimate import MotionEstimate
 from polhode.records.surface import DepthMap, SurfaceModel
 from polhode.run_directory.summary_schema import Check
 
@@ -23,11 +25,8 @@ _log = logging.getLogger(__name__)
 def fuse_depth(context: RunContext, maps: Iterable[DepthMap], motion: MotionSolution) -> SurfaceModel:
     """The surface in G of the depth maps of all F frames, in order, each moved into G by the motion."""
     X_RG, estimate = motion.X_RG, motion.estimate
-    found = estimate.calibration
-    if found is not None and found.correction is not None:
-        maps = map(partial(freed_depth, context.rig, found.correction), maps)
     surface = fuse(
-        zip(maps, X_RG, strict=True),
+        zip(map(correction_of(context.rig, estimate), maps), X_RG, strict=True),
         context.rig,
         context.config.mapping,
         context.progress,
@@ -43,6 +42,14 @@ def fuse_depth(context: RunContext, maps: Iterable[DepthMap], motion: MotionSolu
             *(len(surface.aligned.frames), surface.aligned.doubtful),
         )
     return surface
+
+
+def correction_of(rig: RectifiedRig, estimate: MotionEstimate) -> Callable[[DepthMap], DepthMap]:
+    """What frees depth maps of the errors of the calibration that were estimated."""
+    found = estimate.calibration
+    if found is None or found.correction is None:
+        return lambda depth: depth
+    return partial(freed_depth, rig, found.correction)
 
 
 def fused_poses(fused: SurfaceModel, motion: MotionSolution) -> Array:

@@ -12,19 +12,22 @@ from typing import TypeVar
 
 import numpy as np
 
-from polhode.frontend.rectification import rectified_left
+from polhode.frontend.rectification import rectified_left, target_crop
 from polhode.geometry.lie import Array, transform_points
 from polhode.mapping.finishing.albedo import Colouring, divide_shading
 from polhode.mapping.finishing.detail_levels import DetailLevel, levels_of
 from polhode.mapping.finishing.hole_closing import ClosedHoles, close_small_holes
 from polhode.mapping.finishing.sun_direction import Sunlight
+from polhode.mapping.occupancy import occupancy_of
 from polhode.mapping.visibility import Caster, FrameView, light_level
-from polhode.pipeline.build_surface import fused_poses
+from polhode.pipeline.build_surface import correction_of, fused_poses
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.coverage import coverage_of, warnings_of, with_classes
+from polhode.pipeline.depth_maps import DepthMaps
 from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.runner import stage
 from polhode.pipeline.uniform_density import assumed_properties, check_physics
+from polhode.records.occupancy import Occupancy
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.summary_schema import (
     Coverage,
@@ -123,8 +126,12 @@ def _views(context: RunContext, surface: SurfaceModel, X_RG: Array) -> list[Fram
         if min(u1 - u0, v1 - v0) <= 2:
             continue
         left, mask = rectified_left(context.sequence, context.rectifier, k)
+        if (whole := target_crop(mask, margin_px)) is not None:
+            # what the surface lacks, too
+            u0, v0 = min(u0, whole.u0), min(v0, whole.v0)
+            u1, v1 = max(u1, whole.u1), max(v1, whole.v1)
         image, silhouette = left[v0:v1, u0:u1].copy(), mask[v0:v1, u0:u1].copy()
-        views.append(FrameView(image, silhouette, X_RG[k], R_NR[k], u0, v0, light_level(left)))
+        views.append(FrameView(image, silhouette, X_RG[k], R_NR[k], u0, v0, light_level(left), k))
     return views
 
 
@@ -176,6 +183,19 @@ def cover(context: RunContext, coloured: Coloured, views: Views) -> tuple[Covera
     if not views[0]:
         return None, ()
     return _attempt("coverage", lambda: coverage_of(coloured.surface.mesh, views[0], context.rig), None)
+
+
+@stage("fusion")
+def occupied_space(
+    context: RunContext, coloured: Coloured, views: Views, maps: DepthMaps, motion: MotionSolution
+) -> tuple[Occupancy | None, Sentences]:
+    """What the outlines show beside the mesh and what no frame excludes, and the warning of a failure."""
+    if not views[0]:
+        return None, ()
+    free = correction_of(context.rig, motion.estimate)
+    depths = (free(maps[view.frame]) for view in views[0])
+    sun_N, mesh = coloured.sun_N, coloured.surface.mesh
+    return _attempt("the occupancy", lambda: occupancy_of(mesh, views[0], depths, context.rig, sun_N), None)
 
 
 @stage("fusion")

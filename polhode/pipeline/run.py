@@ -88,6 +88,8 @@ def fill_run_folder(
     levels = run(finish.lighter_meshes, coloured)
     run(write.write_surface, folder, coloured, levels)
     covered = run(finish.cover, coloured, views)
+    occupied = run(finish.occupied_space, coloured, views, depth, motion)
+    run(write.write_occupancy, folder, occupied)
     compared = run(finish.compare_mass, coloured, motion)
     shape = run(finish.describe_shape, motion, views, coloured, covered, levels, compared)
     intervals = run(judge.motion_intervals, motion, coloured, covered)

@@ -22,6 +22,7 @@ from polhode.pipeline.finish_surface import Coloured, Sentences
 from polhode.pipeline.runner import stage
 from polhode.records.dataset import StereoSequence
 from polhode.records.estimate import MotionEstimate, OnlineEstimate
+from polhode.records.occupancy import Occupancy
 from polhode.records.tracks import StereoTracks
 from polhode.report.pictures.body_views import body_frame, draw_mesh
 from polhode.report.pictures.mask_strip import jpeg, mask_strip
@@ -35,6 +36,7 @@ from polhode.report.pictures.model_comparison import (
 )
 from polhode.run_directory import outputs
 from polhode.run_directory.archives import write_measurements
+from polhode.run_directory.archives import write_occupancy as write_grid
 from polhode.runtime.progress import Advance
 
 INLIER_BGR, OUTLIER_BGR = (233, 180, 86), (0, 94, 213)
@@ -77,6 +79,13 @@ def write_surface(
 ) -> None:
     """The meshes."""
     outputs.write_surface(folder, coloured.surface, lighter[0])
+
+
+@stage("report", writes=True)
+def write_occupancy(context: RunContext, folder: Path, occupied: tuple[Occupancy | None, Sentences]) -> None:
+    """The grid of what may hold matter beside the mesh."""
+    if occupied[0] is not None:
+        write_grid(occupied[0], folder / "occupancy.npz")
 
 
 @stage("report", ["pictures"], is_stored=False)

@@ -17,18 +17,37 @@ from polhode.planning.approach.corridor import (
     towards_centre,
 )
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
-from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions, keep_out_of_all, member_times
+from polhode.planning.keep_out.volumes import (
+    LEAST_MEMBERS,
+    KeepOut,
+    KeepOutOptions,
+    keep_out_of_all,
+    member_times,
+)
 from polhode.planning.predict import final_estimates, require_horizon, undetermined_names
 from polhode.planning.prediction import BodyMotion, FinalEstimate, nominal_motion
 from polhode.records.mesh_metrics import distance_to_surface, encloses
 from polhode.records.surface import SurfaceModel
-from polhode.run_directory.archives import read_measurements
+from polhode.run_directory.archives import read_measurements, read_occupancy
 from polhode.run_directory.point_cloud_file import read_landmarks
 from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_in_words import describe_intervals
 from polhode.run_directory.summary_schema import Intervals, Summary
 from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Progress
 
+MOST_CONFIDENT = 0.9999
+COVERED = {
+    "possible": "Keep-out applies to the measured surface with all that it encloses, to what the outlines of "
+    "several frames show beside it, and to what no frame excludes.",
+    "outlines": "Keep-out applies to the measured surface with all that it encloses, and to what the outlines "
+    "of several frames show beside it (open boundaries span {share} of the surface).",
+    "surface": "Keep-out applies to the measured surface and what it encloses (open boundaries span {share} of "
+    "its area).",
+    "hull": "Keep-out applies to the convex hull of what was measured (open boundaries span {share} of the "
+    "surface), so concavities are filled.",
+}
+"""By what the body covers"""
 DOUBTFUL_DOCK_DISTANCE, MAX_DOCK_DISTANCE = 0.05, 5.0
 """Shares of the body's size: a docking point farther from the surface gives a warning, or is refused."""
 OPEN_ROTATION = (
@@ -85,7 +104,9 @@ def surface_of(run: Path) -> SurfaceModel:
     return surface
 
 
-def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Plan:
+def plan_run(
+    run: Path, options: KeepOutOptions, docking: Docking | None, progress: Progress | None = None
+) -> Plan:
     """All parts that the run allows; the others are named with the reason.
 
     A rotation that the images leave open has several hypotheses: the volume and the largest speeds are those
@@ -116,17 +137,17 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
         left_out["keepout"] = left_out["surface_speed"] = str(error)
     doubts = [] if docking is None else _check_docking(docking, surface, run)
     if surface is not None:
-        found, mesh = _keep_out(surface, estimates, options), surface.mesh
-        rims = f"open boundaries span {found.body.open_share:.1%} of its area"
-        notes.append(
-            f"Keep-out applies to the convex hull of the mesh ({rims}), so concavities are filled."
-            if found.body.covers == "hull"
-            else f"Keep-out applies to the measured surface and what it encloses ({rims})."
-        )
+        found, mesh = _keep_out(run, surface, estimates, options, progress), surface.mesh
+        notes.append(COVERED[found.body.covers].format(share=f"{found.body.open_share:.1%}"))
+        if found.body.covers not in ("possible", "outlines") and options.cover == "auto":
+            notes.append(
+                "This run has no occupancy.npz, so what outlines show and the mesh lacks is missing in the "
+                "volume: run it again from its images."
+            )
         seen = (
             summary.coverage.words if summary.coverage is not None else "the run does not say what was seen"
         )
-        notes.append(f"Parts that protrude where nothing was seen are not covered: {seen}.")
+        notes.append(f"Parts that no image shows and that protrude are not covered: {seen}.")
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
         speed = surface_speed(motion, vertices, normals, estimate.last.covariance, other_motions)
     if docking is None:
@@ -163,26 +184,29 @@ def plan_run(run: Path, options: KeepOutOptions, docking: Docking | None) -> Pla
     )
 
 
-def keep_out_of_run(run: Path, options: KeepOutOptions) -> KeepOut:
+def keep_out_of_run(run: Path, options: KeepOutOptions, progress: Progress | None = None) -> KeepOut:
     """The keep-out volume alone. Raises InputError: no estimate, no mesh, or options that do not fit."""
     estimates = final_estimates(run)
     _require_options(options, estimates[0])
-    return _keep_out(surface_of(run), estimates, options)
+    return _keep_out(run, surface_of(run), estimates, options, progress)
 
 
 def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
-    if not 0.5 <= options.confidence <= 0.999:
-        raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to 0.999")
+    if not 0.5 <= options.confidence <= MOST_CONFIDENT:
+        raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to {MOST_CONFIDENT:g}")
+    if options.drawn < LEAST_MEMBERS:
+        raise InputError(f"--members {options.members}: give {LEAST_MEMBERS} or more")
     require_horizon(options.horizon_s, float(np.linalg.norm(estimate.last.w_G)))
 
 
 def _keep_out(
-    surface: SurfaceModel, estimates: tuple[FinalEstimate, ...], options: KeepOutOptions
+    run: Path,
+    surface: SurfaceModel,
+    estimates: tuple[FinalEstimate, ...],
+    options: KeepOutOptions,
+    progress: Progress | None,
 ) -> KeepOut:
-    try:
-        return keep_out_of_all(surface, estimates, options)
-    except ValueError as error:
-        raise InputError(f"--members {options.members}: {error}") from None
+    return keep_out_of_all(surface, estimates, options, read_occupancy(run), progress)
 
 
 def _check_docking(docking: Docking, surface: SurfaceModel | None, run: Path) -> list[str]:

@@ -18,6 +18,7 @@ from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.records.calibration_effects import CalibrationEffects, kept_terms
 from polhode.records.estimate import MotionEstimate, OnlineEstimate, RotationHypothesis
+from polhode.records.occupancy import STATES, Occupancy
 from polhode.records.tracks import RelativePoses, StereoTracks, Wrench
 from polhode.runtime.errors import InputError
 
@@ -208,6 +209,26 @@ def read_covariance(path: Path) -> Covariance:
         archive.optional("covariance_X_NG", count, k, k, infinite=True),
         archive.optional("covariance_of_marks", count, n, n),
     )
+
+
+def write_occupancy(occupancy: Occupancy, path: Path) -> None:
+    """occupancy.npz: the fields of ``Occupancy``."""
+    write_arrays(path, _fields(occupancy))
+
+
+def read_occupancy(run: Path) -> Occupancy | None:
+    """What the images leave possible beside the mesh; None: a run of an earlier version, or without images.
+
+    Raises InputError, one line.
+    """
+    if not (run / "occupancy.npz").exists():
+        return None
+    archive = load_archive(run, "occupancy.npz")
+    step_m = archive.number("step_m")
+    if not step_m > 0.0:
+        raise archive.wrong("step_m is not positive")
+    state = archive.whole("state", None, None, None, below=len(STATES))
+    return Occupancy(archive.numbers("origin_G", 3), step_m, state.astype(np.uint8))
 
 
 def write_measurements(

@@ -136,9 +136,7 @@ class OpenStudy:
 
     def check(self) -> None:
         """Try every value of every axis, each with the first ones of the others. Raises InputError for one
-        that is out of range, and for fewer members than the confidence of a keep-out volume needs."""
-        from polhode.planning.keep_out.volumes import KeepOutOptions
-
+        that is out of range."""
         for factor in self.factors or (Factor((), ((),), ({},)),):
             others: Changes = {}
             for other in self.factors:
@@ -146,13 +144,7 @@ class OpenStudy:
             for level in factor.extremes():
                 point = Point(0, {}, others | factor.changes[level], "")
                 self.config(point)
-                plan = self.plan_options(point)
-                needed = KeepOutOptions(plan.horizon_s, plan.confidence, members=plan.members).members_needed
-                if PLAN in self.settings.steps and plan.members < needed:
-                    raise InputError(
-                        f"{self.source}: plan: members: a confidence of {plan.confidence:g} needs {needed}, "
-                        f"not {plan.members}"
-                    )
+                self.plan_options(point)
 
     def text(self) -> str:
         """The study with its base and its variants written out: the same points, from any folder."""

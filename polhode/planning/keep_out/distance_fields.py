@@ -75,10 +75,13 @@ def _sweep(best: Ints, value: Array, place: Array, reach: Array, si: int, sj: in
 
 Floats = NDArray[np.float32]
 FAR = 1e3
-"""[m] of a cell that the body does not approach"""
+"""[m] of what is nowhere"""
+TOLERANCE_CELLS = 0.15
+"""By so much less a field may be lowered than it could be."""
+SLOWER = 0.9
+"""Interpolated distances may change a little faster than true ones."""
 DEEP_CELLS = 2.0
 """A cell this far inside is not updated."""
-REACH_CELLS = 3.0
 
 
 @compiled_ieee
@@ -117,16 +120,6 @@ def linear(values: Floats, origin: Array, step: float, x: float, y: float, z: fl
 
 
 @compiled_ieee
-def values_at(values: Floats, origin: Array, step: float, points: Array) -> Array:
-    """Of a grid at points (n, 3), linear in between; outside as in ``linear``."""
-    out, found = np.empty(len(points)), np.empty(4)
-    for n in range(len(points)):
-        linear(values, origin, step, points[n, 0], points[n, 1], points[n, 2], found)
-        out[n] = found[0]
-    return out
-
-
-@compiled_ieee
 def sigma_along(P: Array, x: float, y: float, z: float, found: Array) -> float:
     """Sigma of the surface nearest to a point in G, along the direction to it; found (4,) of ``linear``."""
     size = np.sqrt(found[1] ** 2 + found[2] ** 2 + found[3] ** 2)
@@ -151,7 +144,6 @@ def sweep(
     R: Array,
     p: Array,
     P: Array,
-    reach_m: Array,
     body: Floats,
     body_origin: Array,
     body_step: float,
@@ -160,54 +152,115 @@ def sweep(
 ) -> None:
     """Lower fields (nx, ny, nz, C) by the body at T instants: R (T, 3, 3), p (T, 3), P (T, 6, 6).
 
-    factors (C,) ascending from 0; reach_m (T,): distance from the body within which the fields must be valid.
+    factors (C,) ascending from 0. The distance of a cell from the body changes no faster than the body moves
+    there: instants by which it cannot have come nearer than it was are left out.
     """
     nx, ny, nz, C = fields.shape
-    found = np.empty(4)
-    shift = np.sqrt(P[:, 0, 0] + P[:, 1, 1] + P[:, 2, 2])
-    turn = np.sqrt(P[:, 3, 3] + P[:, 4, 4] + P[:, 5, 5])
+    T, found, tolerance = len(R), np.empty(4), TOLERANCE_CELLS * step
+    # the largest sigmas up to each instant, and the largest motion between two instants
+    shift, turn = np.zeros(T), np.zeros(T)
+    centre, shifted, turned = np.empty((T, 3)), 1e-12, 1e-12
+    most_lever = 2.0 * radius + np.sqrt(np.sum(middle**2))
+    for t in range(T):
+        shift[t] = max(shift[max(t - 1, 0)], 1.000001 * np.sqrt(np.linalg.eigvalsh(P[t, :3, :3])[2]))
+        turn[t] = max(turn[max(t - 1, 0)], 1.000001 * np.sqrt(np.linalg.eigvalsh(P[t, 3:, 3:])[2]))
+        centre[t] = R[t] @ middle + p[t]
+        if t > 0:
+            shifted = max(shifted, np.sqrt(np.sum((centre[t] - centre[t - 1]) ** 2)))
+            # the chord of the angle is at least this part of its arc, for steps below a radian
+            turned = max(turned, 1.05 * np.sqrt(0.5 * np.sum((R[t] - R[t - 1]) ** 2)))
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
+                t = 0
+                while t < T and fields[i, j, k, 0] > -DEEP_CELLS * step:
+                    cx, cy, cz = x - centre[t, 0], y - centre[t, 1], z - centre[t, 2]
+                    away = np.sqrt(cx * cx + cy * cy + cz * cz)
+                    # by the sphere around the body first, as that costs least
+                    distance = away - radius
+                    lever = distance + abs(distance) + most_lever
+                    sigma = shift[t] + lever * turn[t]
+                    gap = np.inf
+                    for c in range(C):
+                        gap = min(gap, distance - factors[c] * sigma - fields[i, j, k, c])
+                    if gap < 0.0:
+                        dx, dy, dz = x - p[t, 0], y - p[t, 1], z - p[t, 2]
+                        gx = R[t, 0, 0] * dx + R[t, 1, 0] * dy + R[t, 2, 0] * dz
+                        gy = R[t, 0, 1] * dx + R[t, 1, 1] * dy + R[t, 2, 1] * dz
+                        gz = R[t, 0, 2] * dx + R[t, 1, 2] * dy + R[t, 2, 2] * dz
+                        linear(body, body_origin, body_step, gx, gy, gz, found)
+                        distance = found[0]
+                        lever = np.sqrt(gx * gx + gy * gy + gz * gz) + abs(distance)
+                        # an upper bound of sigma: where it lowers no field, sigma does not either
+                        sigma = shift[t] + lever * turn[t]
+                        lowers = False
+                        for c in range(C):
+                            lowers = lowers or distance - factors[c] * sigma < fields[i, j, k, c]
+                        if lowers:
+                            along = sigma_along(P[t], gx, gy, gz, found) if factors[C - 1] > 0.0 else 0.0
+                            for c in range(C):
+                                value = distance - factors[c] * along
+                                if value < fields[i, j, k, c]:
+                                    fields[i, j, k, c] = value
+                        gap = np.inf
+                        for c in range(C):
+                            gap = min(gap, distance - factors[c] * sigma - fields[i, j, k, c])
+                    gap += tolerance
+                    steps = 1
+                    if gap > shifted + turned * away:
+                        ahead = min(t + int(gap / (shifted + turned * (away + gap))), T - 1)
+                        grown = (
+                            shift[ahead]
+                            - shift[t]
+                            + lever * (turn[ahead] - turn[t])
+                            + 2.0 * gap * turn[ahead]
+                        )
+                        gap -= factors[C - 1] * grown
+                        steps = max(1, int(SLOWER * gap / (shifted + turned * (away + gap))))
+                    t += steps
+
+
+@compiled_ieee
+def outermost_pairs(
+    field: Floats, origin: Array, step: float, R: Array, p: Array, points: Array, band_m: Array, parts: int
+) -> Ints:
+    """Pairs (k, 2) of instant and point, which is within the band (T,) of the surface of a swept volume.
+
+    Of each cell and part of the horizon the one that protrudes most: R (T, 3, 3), p (T, 3), points (m, 3).
+    """
+    nx, ny, nz = field.shape
+    best = np.full((nx, ny, nz, parts), -np.inf, dtype=np.float32)
+    pair = np.zeros((nx, ny, nz, parts), dtype=np.int32)
+    found, count = np.empty(4), 0
     for t in range(len(R)):
         A = R[t]
-        cx = A[0, 0] * middle[0] + A[0, 1] * middle[1] + A[0, 2] * middle[2] + p[t, 0]
-        cy = A[1, 0] * middle[0] + A[1, 1] * middle[1] + A[1, 2] * middle[2] + p[t, 1]
-        cz = A[2, 0] * middle[0] + A[2, 1] * middle[1] + A[2, 2] * middle[2] + p[t, 2]
-        far = radius + reach_m[t] + REACH_CELLS * step
-        i0, i1 = max(0, int((cx - far - origin[0]) / step)), min(nx, int((cx + far - origin[0]) / step) + 2)
-        j0, j1 = max(0, int((cy - far - origin[1]) / step)), min(ny, int((cy + far - origin[1]) / step) + 2)
-        k0, k1 = max(0, int((cz - far - origin[2]) / step)), min(nz, int((cz + far - origin[2]) / step) + 2)
-        for i in range(i0, i1):
-            x = origin[0] + i * step
-            for j in range(j0, j1):
-                y = origin[1] + j * step
-                flat = (x - cx) ** 2 + (y - cy) ** 2
-                if flat > far * far:
-                    continue
-                for k in range(k0, k1):
-                    if fields[i, j, k, 0] < -DEEP_CELLS * step:
-                        continue
-                    z = origin[2] + k * step
-                    if flat + (z - cz) ** 2 > far * far:
-                        continue
-                    dx, dy, dz = x - p[t, 0], y - p[t, 1], z - p[t, 2]
-                    gx = A[0, 0] * dx + A[1, 0] * dy + A[2, 0] * dz
-                    gy = A[0, 1] * dx + A[1, 1] * dy + A[2, 1] * dz
-                    gz = A[0, 2] * dx + A[1, 2] * dy + A[2, 2] * dz
-                    linear(body, body_origin, body_step, gx, gy, gz, found)
-                    if found[0] > reach_m[t] + REACH_CELLS * step + fields[i, j, k, 0]:
-                        continue
-                    # an upper bound of sigma: where it lowers no field, sigma does not either
-                    lever = np.sqrt(gx * gx + gy * gy + gz * gz) + abs(found[0])
-                    most = 1.000001 * (shift[t] + lever * turn[t])
-                    lower = False
-                    for c in range(C):
-                        lower = lower or found[0] - factors[c] * most < fields[i, j, k, c]
-                    if not lower:
-                        continue
-                    sigma = sigma_along(P[t], gx, gy, gz, found)
-                    for c in range(C):
-                        value = found[0] - factors[c] * sigma
-                        if value < fields[i, j, k, c]:
-                            fields[i, j, k, c] = value
+        for m in range(len(points)):
+            g = points[m]
+            x = A[0, 0] * g[0] + A[0, 1] * g[1] + A[0, 2] * g[2] + p[t, 0]
+            y = A[1, 0] * g[0] + A[1, 1] * g[1] + A[1, 2] * g[2] + p[t, 1]
+            z = A[2, 0] * g[0] + A[2, 1] * g[1] + A[2, 2] * g[2] + p[t, 2]
+            i = min(max(int((x - origin[0]) / step), 0), nx - 1)
+            j = min(max(int((y - origin[1]) / step), 0), ny - 1)
+            k = min(max(int((z - origin[2]) / step), 0), nz - 1)
+            if field[i, j, k] < -band_m[t] - 2.0 * step:
+                continue
+            linear(field, origin, step, x, y, z, found)
+            part = t * parts // len(R)
+            if found[0] > -band_m[t] and found[0] > best[i, j, k, part]:
+                count += best[i, j, k, part] == -np.inf
+                best[i, j, k, part] = found[0]
+                pair[i, j, k, part] = t * len(points) + m
+    out, n = np.empty((count, 2), dtype=np.int64), 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                for part in range(parts):
+                    if best[i, j, k, part] > -np.inf:
+                        out[n, 0] = pair[i, j, k, part] // len(points)
+                        out[n, 1] = pair[i, j, k, part] % len(points)
+                        n += 1
+    return out
 
 
 @compiled_ieee

@@ -1,4 +1,8 @@
-"""The measured body, grown by the uncertainty of its surface: a signed distance on a grid in G.
+"""The body, grown by the uncertainty of its surface: a signed distance on a grid in G.
+
+It is the union of three parts: what stereo measured with all that it encloses, cells that hold matter by the
+outlines of several frames, and cells that no frame excludes (``mapping/occupancy.py``). Each point of its
+surface knows to which of them it belongs.
 
 The margin is a number of sigmas within which all points of the surface lie simultaneously: for Gaussian
 errors independent from point to point the number follows from their count, and positive correlation makes the
@@ -11,7 +15,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import label, map_coordinates
+from scipy.ndimage import binary_erosion, label, map_coordinates
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.special import ndtri
@@ -19,12 +23,26 @@ from skimage.measure import marching_cubes
 
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out.distance_fields import closest
+from polhode.records import occupancy
+from polhode.records.occupancy import Occupancy
 from polhode.records.surface import SurfaceModel
+from polhode.runtime.errors import InputError
 
 Floats = NDArray[np.float32]
-Cover = Literal["auto", "surface", "hull"]
+Cover = Literal["auto", "possible", "outlines", "surface", "hull"]
+Covered = Literal["possible", "outlines", "surface", "hull"]
+MEASURED, OUTLINED, POSSIBLE = REASONS = 0, 1, 2
+"""Why a place belongs to the body: measured there; outlines show matter; no frame excludes it"""
+STATES: dict[Covered, tuple[int, ...]] = {
+    "possible": (occupancy.OUTLINED, occupancy.POSSIBLE), "outlines": (occupancy.OUTLINED,),
+    "surface": (), "hull": (occupancy.OUTLINED,),
+}  # fmt: skip
+"""Cells of the occupancy that belong to the body, by what it covers"""
 OPEN_SHARE = 0.01
-"""A mesh whose open boundaries span more than this share of its area is replaced by its hull."""
+"""Without an occupancy a mesh whose open boundaries span more than this share of its area is replaced by its
+hull."""
+HALF_DIAGONAL = 0.5 * 3.0**0.5
+"""Of a cell, over its edge"""
 CHUNK = 500
 """Points at a time, which fit into the processor's cache."""
 PLANES = 600
@@ -74,9 +92,17 @@ class MeasuredBody:
     """median growth"""
     pad_m: float
     """added everywhere for what the grid cannot resolve"""
-    covers: Literal["surface", "hull"]
+    covers: Covered
     open_share: float
     """area that open boundaries span, over the area of the surface"""
+    reason: NDArray[np.uint8]
+    """(nx, ny, nz) which of REASONS the place of the body nearest to a corner of the grid belongs to"""
+
+    def reasons_at(self, p_G: Array) -> NDArray[np.uint8]:
+        """Which of REASONS (n,) for points (n, 3) near the surface of the body."""
+        cell = np.rint((p_G - self.grid.origin) / self.grid.step_m).astype(int)
+        i, j, k = np.clip(cell, 0, np.array(self.reason.shape) - 1).T
+        return np.asarray(self.reason[i, j, k])
 
     @property
     def radius_m(self) -> float:
@@ -94,38 +120,81 @@ def simultaneous_sigmas(count: int, miss: float) -> float:
     return float(-ndtri(-np.expm1(np.log1p(-miss) / max(count, 1))))
 
 
-def grown_body(surface: SurfaceModel, miss: float, cells: int = 64, cover: Cover = "auto") -> MeasuredBody:
+def what_to_cover(mesh: trimesh.Trimesh, occupied: Occupancy | None, cover: Cover) -> Covered:
+    """What a choice means for a run. Raises InputError: a run without an occupancy."""
+    if cover in ("possible", "outlines") and occupied is None:
+        raise InputError(f"--cover {cover}: the run has no occupancy.npz; run it again, or --cover hull")
+    if cover != "auto":
+        return cover
+    if occupied is not None:
+        return "possible"
+    return "hull" if rim_share(mesh) > OPEN_SHARE else "surface"
+
+
+def grown_body(
+    surface: SurfaceModel,
+    miss: float,
+    cells: int = 64,
+    cover: Cover = "auto",
+    occupied: Occupancy | None = None,
+) -> MeasuredBody:
     """The body that contains the true surface with the probability 1 - ``miss``.
 
-    ``cells`` along its longest side. Raises ValueError when the surface has no faces.
+    ``cells`` along its longest side; ``occupied``: None for a run without it. Raises ValueError when the
+    surface has no faces, InputError as ``what_to_cover``.
     """
     mesh = surface.mesh
     if len(mesh.faces) == 0:
         raise ValueError("the mesh has no faces")
+    covers = what_to_cover(mesh, occupied, cover)
     sigmas = simultaneous_sigmas(len(mesh.vertices), miss)
     margin = sigmas * continuous_sigma(surface)
-    open_share = rim_share(mesh)
-    covers: Literal["surface", "hull"] = "hull" if cover == "hull" else "surface"
-    if cover == "auto" and open_share > OPEN_SHARE:
-        covers = "hull"
-    low, high = np.asarray(mesh.vertices).min(axis=0), np.asarray(mesh.vertices).max(axis=0)
+    centres, radius_m = np.zeros((0, 3)), 0.0
+    if occupied is not None:
+        centres, radius_m = occupied.centres(*STATES[covers]), HALF_DIAGONAL * occupied.step_m
+    ends = np.concatenate([np.asarray(mesh.vertices), centres])
+    low, high = ends.min(axis=0), ends.max(axis=0)
     step = float((high - low).max()) / cells
-    border = float(margin.max()) + 4.0 * step
-    shape = np.ceil((high - low + 2.0 * border) / step).astype(int) + 1
-    empty = ScalarGrid(low - border, step, np.zeros(tuple(shape), dtype=np.float32))
+    border = max(float(margin.max()), radius_m) + 4.0 * step
+    shape = tuple(np.ceil((high - low + 2.0 * border) / step).astype(int) + 1)
+    empty = ScalarGrid(low - border, step, np.zeros(shape, dtype=np.float32))
     q, normal, m = sample_surface(mesh, margin, 0.5 * step)
-    few = _thinned(q, m, 0.25 * step)
+    outermost, few = q + m[:, None] * normal, _thinned(q, m, 0.25 * step)
+    reason = np.full(shape, MEASURED, dtype=np.uint8)
     if covers == "hull":
-        values = _hull_distance(empty.corners(), q[few], m[few])
+        of_hull = np.concatenate([q[few], centres]), np.concatenate([m[few], np.full(len(centres), radius_m)])
+        values = _hull_distance(empty.corners(), *of_hull)
+        reason[:] = POSSIBLE
+        reason[_grown_distance(empty, q[few], normal[few], m[few]).reshape(shape) < 2.0 * step] = MEASURED
+        outermost = np.concatenate([outermost, centres])
     else:
         values = _grown_distance(empty, q[few], normal[few], m[few])
+        for kind, state in zip((OUTLINED, POSSIBLE), STATES[covers], strict=False):
+            assert occupied is not None
+            to_cells = _distance_to_cells(empty, occupied, state) - radius_m
+            reason.reshape(-1)[to_cells < values] = kind
+            values = np.minimum(values, to_cells)
+            outermost = np.concatenate([outermost, occupied.centres(state)])
     grid = ScalarGrid(empty.origin, step, values.reshape(shape).astype(np.float32))
-    outermost = q + m[:, None] * normal
     pad = max(0.0, float(grid.at(outermost).max()), float(grid.at(q).max()))
     grid = ScalarGrid(grid.origin, step, _fill_cavities(grid.values - np.float32(pad)))
     return MeasuredBody(
-        grid, thinned_vertices(grid.mesh(), step), sigmas, float(np.median(margin)), pad, covers, open_share
+        *(grid, thinned_vertices(grid.mesh(), step), sigmas, float(np.median(margin)), pad),
+        *(covers, rim_share(mesh), reason),
     )
+
+
+def _distance_to_cells(grid: ScalarGrid, occupied: Occupancy, state: int) -> Array:
+    """Distance (cells,) from the corners of a grid to the nearest cell of a state, 0 in one; inf: there is
+    none.
+    """
+    chosen, corners = occupied.state == state, grid.corners()
+    outermost = occupied.origin_G + occupied.step_m * np.argwhere(chosen & ~binary_erosion(chosen))
+    if len(outermost) == 0:
+        return np.full(grid.values.size, np.inf)
+    nearest = closest(grid.origin, grid.step_m, grid.values.shape, outermost, np.zeros(len(outermost)))
+    away = np.linalg.norm(corners - outermost[nearest.reshape(-1)], axis=1)
+    return np.asarray(np.where(occupied.states_at(corners) == state, 0.0, away))
 
 
 def continuous_sigma(surface: SurfaceModel) -> Array:

@@ -1,30 +1,28 @@
 """The keep-out volume: the space that the target may sweep over a horizon, at a confidence.
 
-Three steps. The measured surface is grown until it contains the true one (``measured_body``). The volume that
-it sweeps by the estimated motion is grown by c sigma of the pose, instant by instant. Members sampled from
-the covariance then give the margin to be added: with it, all but the allowed share of them stay inside with
-their whole sweep (split conformal prediction: Vovk, Gammerman, Shafer 2005; Lei et al., J. Am. Stat. Assoc.
-113, 2018). This also compensates errors of the grid and of the linearised sigma. One half of the members
-chooses the c of the smallest volume; the other half, independent of that choice, gives the margin.
+Three steps. The body is grown until it contains the true one (``measured_body``). The volume that it sweeps by
+the estimated motion is grown by c sigma of the pose, instant by instant. Members sampled from the covariance
+then give the margin to be added: with it, all but the allowed share of them stay inside with their whole sweep
+(``score_tail``). This also compensates errors of the grid and of the linearised sigma. Some of the members
+choose the c of the smallest volume, on a coarse grid; the others, independent of that choice, give the margin.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.geometry.lie import Array, Ints
+from polhode.geometry.lie import Array
 from polhode.planning.keep_out.distance_fields import (
-    FAR,
     linear,
+    outermost_pairs,
     protrusion,
     protrusion_at_instants,
     sigma_along,
     sweep,
-    values_at,
 )
 from polhode.planning.keep_out.measured_body import (
     Cover,
@@ -34,6 +32,7 @@ from polhode.planning.keep_out.measured_body import (
     grown_body,
     thinned_vertices,
 )
+from polhode.planning.keep_out.score_tail import ScoreTail
 from polhode.planning.keep_out.small_triangles import SmallTriangles
 from polhode.planning.prediction import (
     BodyMotion,
@@ -43,15 +42,18 @@ from polhode.planning.prediction import (
     nominal_motion,
     pose_covariance,
 )
+from polhode.records.occupancy import Occupancy
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import InputError
+from polhode.runtime.progress import Advance, Progress, Silent
 
 Floats = NDArray[np.float32]
 FACTORS = np.array([0.0, 1.5, 2.5, 3.5])
 """Candidates of c; the remaining margin is added uniformly."""
 SURFACE_SHARE = 0.1
 """Of the allowed probability of a miss: the surface's; the pose has the rest."""
-MAX_STEPS = 4000
+LEAST_STEPS, MAX_STEPS = 50, 4000
+SHARE_OF_GROWTH = 0.3
 MAX_MEMBER_STEPS = 1000
 MAX_INSTANTS = 40
 MEMBER_ROTATION_RAD = 0.05
@@ -60,10 +62,16 @@ BAND_SIGMAS = 3.0
 PARTS_OF_HORIZON = 6
 """Errors change slowly: of the points in a cell, one represents the others in each part of the horizon."""
 INSTANT_POINTS_CELLS = 4.0
+BORDER_CELLS = 4.0
+COARSE = 2.0
+"""Edge of the cells on which c is chosen, over that of the others"""
 BEYOND_CELLS = 2.0
 """Beyond this from the surface the grid decides about the side, the triangles about the distance."""
 MAX_CELLS = 20_000_000
 """Of a grid"""
+MEMBERS, CHOOSING = 600, 200
+"""Motions that are drawn up to 99 %, and those of them by which c is chosen"""
+LEAST_MEMBERS, MOST_MEMBERS = 60, 2000
 
 
 @dataclass(frozen=True)
@@ -72,8 +80,9 @@ class KeepOutOptions:
 
     horizon_s: float
     confidence: float
-    members: int = 800
-    cells: int = 72
+    members: int | None = None
+    """None: as many as the confidence is worth"""
+    cells: int = 48
     """along the longest side of the swept space"""
     cover: Cover = "auto"
     seed: int = 0
@@ -84,9 +93,12 @@ class KeepOutOptions:
         return (1.0 - self.confidence) * (1.0 - SURFACE_SHARE)
 
     @property
-    def members_needed(self) -> int:
-        """Least number of members for the confidence."""
-        return 2 * (int(np.ceil(1.0 / self.pose_miss)) + 1)
+    def drawn(self) -> int:
+        """Number of motions: more where the tail beyond the draws is longer."""
+        if self.members is not None:
+            return self.members
+        decades = max(0.0, -2.0 - float(np.log10(1.0 - self.confidence)))
+        return round(min(MEMBERS * (1.0 + 0.75 * decades), MOST_MEMBERS))
 
 
 @dataclass(frozen=True)
@@ -99,6 +111,8 @@ class SweptKeepOut:
     """c: sigmas of the pose"""
     added_m: float
     """margin in addition, for the confidence"""
+    sigma_added_m: float
+    """by the number of members"""
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
@@ -229,33 +243,53 @@ def _points(p_N: Array) -> Array:
     return points
 
 
-def keep_out(surface: SurfaceModel, estimate: FinalEstimate, options: KeepOutOptions) -> KeepOut:
-    """Both volumes. Raises ValueError without a surface, or with too few members for the confidence,
-    InputError where the motion is too uncertain.
-    """
-    return keep_out_of_all(surface, (estimate,), options)
+def keep_out(
+    surface: SurfaceModel,
+    estimate: FinalEstimate,
+    options: KeepOutOptions,
+    occupied: Occupancy | None = None,
+) -> KeepOut:
+    """Both volumes. Raises ValueError without a surface, InputError where the motion is too uncertain."""
+    return keep_out_of_all(surface, (estimate,), options, occupied)
 
 
 def keep_out_of_all(
-    surface: SurfaceModel, estimates: Sequence[FinalEstimate], options: KeepOutOptions
+    surface: SurfaceModel,
+    estimates: Sequence[FinalEstimate],
+    options: KeepOutOptions,
+    occupied: Occupancy | None = None,
+    progress: Progress | None = None,
 ) -> KeepOut:
-    """Both volumes, of all hypotheses of the rotation; errors as ``keep_out``."""
-    if options.members < options.members_needed:
-        raise ValueError(f"a confidence of {options.confidence:g} needs {options.members_needed} members")
-    body = grown_body(surface, (1.0 - options.confidence) * SURFACE_SHARE, cover=options.cover)
-    times = member_times(estimates, options.horizon_s)
-    first, *others = (_keep_out(body, estimate, times, options) for estimate in estimates)
+    """Both volumes, of all hypotheses of the rotation; errors as ``keep_out``.
+
+    occupied: None for a run without it.
+    """
+    with (progress or Silent()).stage("keep-out volume", STEPS * len(estimates) + 1) as advance:
+        body = grown_body(
+            surface, (1.0 - options.confidence) * SURFACE_SHARE, cover=options.cover, occupied=occupied
+        )
+        advance()
+        times = member_times(estimates, options.horizon_s)
+        first, *others = (_keep_out(body, each, times, options, advance) for each in estimates)
     return first.united_with(others)
 
 
-def _keep_out(body: MeasuredBody, estimate: FinalEstimate, times: Array, options: KeepOutOptions) -> KeepOut:
-    half = options.members // 2
-    members = draw_ensemble(estimate, times, options.members, options.seed)
+STEPS = 4
+"""Of progress, for each hypothesis"""
+
+
+def _keep_out(
+    body: MeasuredBody, estimate: FinalEstimate, times: Array, options: KeepOutOptions, advance: Advance
+) -> KeepOut:
+    members = draw_ensemble(estimate, times, options.drawn, options.seed)
+    advance()
+    choosing = min(CHOOSING, options.drawn // 2)
     motion = nominal_motion(estimate, times)
-    halves = members.part(slice(0, half)), members.part(slice(half, None))
+    halves = members.part(slice(0, choosing)), members.part(slice(choosing, None))
     covariance = pose_covariance(halves[0], motion)
     instant = _instant(body, motion, covariance, halves, options)
-    swept = _swept(body, estimate, motion, covariance, halves, options)
+    advance()
+    swept = _swept(body, estimate, motion, covariance, halves, options, advance)
     return KeepOut(body, swept, instant)
 
 
@@ -264,12 +298,6 @@ def member_times(estimates: Sequence[FinalEstimate], horizon_s: float) -> Array:
     rate = max(float(np.linalg.norm(each.last.w_G)) for each in estimates)
     steps = int(np.clip(np.ceil(horizon_s * rate / MEMBER_ROTATION_RAD), 100, MAX_MEMBER_STEPS))
     return np.asarray(np.linspace(horizon_s / steps, horizon_s, steps))
-
-
-def conformal(scores: Array, miss: float) -> Array:
-    """Bound (C,) that a further row of scores (n, C) exceeds with at most the probability ``miss``."""
-    rank = int(np.ceil((len(scores) + 1) * (1.0 - miss)))
-    return np.asarray(np.sort(scores, axis=0)[rank - 1])
 
 
 def _instant(
@@ -283,22 +311,79 @@ def _instant(
     grid = body.grid
     points = thinned_vertices(trimesh.Trimesh(body.points_G), INSTANT_POINTS_CELLS * grid.step_m)
 
-    def bound(part: Ensemble, factors: Array) -> Array:
+    def scores(part: Ensemble, factors: Array) -> Array:
         R, p = np.ascontiguousarray(part.R_NG[:, chosen]), np.ascontiguousarray(part.p_NG[:, chosen])
-        scores = protrusion_at_instants(
+        return protrusion_at_instants(
             factors, R, p, motion.R_NG[chosen], motion.p_NG[chosen], P[chosen],
             grid.values, grid.origin, grid.step_m, points,
         )  # fmt: skip
-        return conformal(scores, options.pose_miss)
 
-    first = bound(halves[0], FACTORS)
+    few = halves[0].part(slice(None, None, 4))
+    first = np.array([ScoreTail.of(each).bound(options.pose_miss) for each in scores(few, FACTORS).T])
     lever = np.sqrt(np.mean(np.sum(points**2, axis=1)) / 3.0)
     typical = np.sqrt((np.trace(P[:, :3, :3], axis1=1, axis2=2) / 3.0).mean()) + lever * np.sqrt(
         (np.trace(P[:, 3:, 3:], axis1=1, axis2=2) / 3.0).mean()
     )
     best = int(np.argmin(first + FACTORS * typical))
-    added = max(float(bound(halves[1], FACTORS[best : best + 1])[0]), 0.0)
-    return InstantKeepOut(body, motion, P, float(FACTORS[best]), added)
+    tail = ScoreTail.of(scores(halves[1], FACTORS[best : best + 1])[:, 0])
+    return InstantKeepOut(body, motion, P, float(FACTORS[best]), max(tail.bound(options.pose_miss), 0.0))
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """The body swept on a grid of one step, and how far members leave it."""
+
+    body: MeasuredBody
+    estimate: FinalEstimate
+    motion: BodyMotion
+    P: Array
+    low: Array
+    high: Array
+    """(3,) corners of what the body, its members and the largest growth reach"""
+    step_m: float
+    horizon_s: float
+
+    def fields(self, more_m: float, factors: Array) -> tuple[Array, Floats]:
+        """Origin (3,) of the grid, and its values (nx, ny, nz, C). Raises InputError: it is too large."""
+        body, origin = self.body, self.low - more_m
+        shape = tuple(np.ceil((self.high - self.low + 2.0 * more_m) / self.step_m).astype(int) + 1)
+        if np.prod(shape) > MAX_CELLS:
+            raise InputError(f"--horizon {self.horizon_s:g}: too uncertain for a volume; look less far")
+        # what is grown by more may be swept in larger steps: the members tell what that leaves out
+        allowed_m = self.step_m + SHARE_OF_GROWTH * factors[0] * self.spread_m
+        fine = fine_times(self.motion, body.radius_m, allowed_m, self.horizon_s)
+        at = np.clip(np.searchsorted(self.motion.time_s, fine), 0, len(self.motion.time_s) - 1)
+        states, grid = nominal_motion(self.estimate, fine), body.grid
+        fields = np.full((*shape, len(factors)), more_m + BORDER_CELLS * self.step_m, dtype=np.float32)
+        sweep(
+            fields, origin, self.step_m, factors, states.R_NG, states.p_NG, self.P[at],
+            grid.values, grid.origin, grid.step_m, body.centre_G, body.radius_m,
+        )  # fmt: skip
+        return origin, fields
+
+    @cached_property
+    def spread_m(self) -> Array:
+        """(T,) the body's uncertainty by its pose"""
+        return np.asarray(
+            np.sqrt(np.trace(self.P[:, :3, :3], axis1=1, axis2=2))
+            + self.body.radius_m * np.sqrt(np.trace(self.P[:, 3:, 3:], axis1=1, axis2=2))
+        )
+
+    @cached_property
+    def points(self) -> Array:
+        """(m, 3) of the body's surface, no nearer to each other than the grid can tell"""
+        apart_m = 0.5 * self.step_m
+        if apart_m <= self.body.grid.step_m:
+            return self.body.points_G
+        return thinned_vertices(trimesh.Trimesh(self.body.points_G), apart_m)
+
+    def scores(self, origin: Array, fields: Floats, part: Ensemble) -> Array:
+        """How far members (n,) leave each field (n, C)."""
+        motion, band_m = self.motion, BAND_SIGMAS * self.spread_m + self.step_m
+        first = np.ascontiguousarray(fields[..., 0])
+        R, p = np.ascontiguousarray(motion.R_NG), np.ascontiguousarray(motion.p_NG)
+        pairs = outermost_pairs(first, origin, self.step_m, R, p, self.points, band_m, PARTS_OF_HORIZON)
+        return protrusion(fields, origin, self.step_m, part.R_NG, part.p_NG, pairs, self.points)
 
 
 def _swept(
@@ -308,47 +393,37 @@ def _swept(
     P: Array,
     halves: tuple[Ensemble, Ensemble],
     options: KeepOutOptions,
+    advance: Advance,
 ) -> SweptKeepOut:
-    radius, grid = body.radius_m, body.grid
-    spread_m = np.sqrt(np.trace(P[:, :3, :3], axis1=1, axis2=2)) + radius * np.sqrt(
-        np.trace(P[:, 3:, 3:], axis1=1, axis2=2)
-    )
+    radius = body.radius_m
     # of all members, and as far from the estimate as the largest factor grows it
     centres = np.concatenate([half.p_NG + half.R_NG @ body.centre_G for half in halves])
     middle = (motion.p_NG + motion.R_NG @ body.centre_G)[:, None]
-    far = (FACTORS[-1] * spread_m + radius)[:, None, None]
+    bare = _Sweep(body, estimate, motion, P, np.zeros(3), np.zeros(3), 1.0, options.horizon_s)
+    far = (FACTORS[-1] * bare.spread_m + radius)[:, None, None]
     low = np.minimum(centres.min(axis=(0, 1)) - radius, (middle - far).min(axis=(0, 1)))
     high = np.maximum(centres.max(axis=(0, 1)) + radius, (middle + far).max(axis=(0, 1)))
     step = float((high - low).max()) / options.cells
-    fine = fine_times(motion, radius, step, options.horizon_s)
-    at = np.clip(np.searchsorted(motion.time_s, fine), 0, len(motion.time_s) - 1)
-    states, more_m = nominal_motion(estimate, fine), 4.0 * step
+    at = partial(_Sweep, body, estimate, motion, P, low, high, horizon_s=options.horizon_s)
+    coarse = at(step_m=COARSE * step)
+    origin, fields = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
+    scores = coarse.scores(origin, fields, halves[0])
+    allowed = [max(ScoreTail.of(each).bound(options.pose_miss), -coarse.step_m) for each in scores.T]
+    best = int(np.argmin([int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]))
+    advance()
+    fine, more_m = at(step_m=step), max(1.5 * float(scores[:, best].max()), 0.0) + BORDER_CELLS * step
     while True:
-        origin = low - more_m
-        shape = tuple(np.ceil((high - low + 2.0 * more_m) / step).astype(int) + 1)
-        if np.prod(shape) > MAX_CELLS:
-            raise InputError(f"--horizon {options.horizon_s:g}: too uncertain for a volume; look less far")
-        fields = np.full((*shape, len(FACTORS)), FAR, dtype=np.float32)
-        sweep(
-            fields, origin, step, FACTORS, states.R_NG, states.p_NG, P[at],
-            FACTORS[-1] * spread_m[at] + more_m, grid.values, grid.origin, grid.step_m, body.centre_G, radius,
-        )  # fmt: skip
-        band_m = BAND_SIGMAS * spread_m
-        pairs = points_near_surface(fields[..., 0], origin, step, motion, body.points_G, band_m)
-
-        def bound(fields: Floats, half: Ensemble, origin: Array = origin, pairs: Ints = pairs) -> Array:
-            beyond = protrusion(fields, origin, step, half.R_NG, half.p_NG, pairs, body.points_G)
-            return np.maximum(conformal(beyond, options.pose_miss), -step)
-
-        allowed = bound(fields, halves[0])
-        best = int(np.argmin([int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]))
-        added = float(bound(np.ascontiguousarray(fields[..., best : best + 1]), halves[1])[0])
-        level = fields[..., best] - np.float32(added)
-        if added <= more_m and not reaches_border(level):
+        origin, fields = fine.fields(more_m, FACTORS[best : best + 1])
+        beyond = fine.scores(origin, fields, halves[1])[:, 0]
+        tail = ScoreTail.of(beyond)
+        added = max(tail.bound(options.pose_miss), -step)
+        level = fields[..., 0] - np.float32(added)
+        if max(added, float(beyond.max())) <= more_m and not reaches_border(level):
             level = np.where(cavities(level), -np.float32(step), level)
             # bounded values: finite slopes at the surface between far cells and near ones
             whole = ScalarGrid(origin, step, np.minimum(level, np.float32(8.0 * step)))
-            return SweptKeepOut(whole, float(FACTORS[best]), added)
+            advance()
+            return SweptKeepOut(whole, float(FACTORS[best]), added, tail.sigma(options.pose_miss))
         more_m = float(np.clip(1.1 * added, 2.0 * more_m, 4.0 * more_m))
 
 
@@ -358,32 +433,14 @@ def reaches_border(level: Floats) -> bool:
     return any(bool((end <= 0.0).any()) for end in ends)
 
 
-def fine_times(motion: BodyMotion, radius: float, step: float, horizon_s: float) -> Array:
-    """Instants (T,) from 0, between which no point moves by more than about a cell."""
-    fastest = np.linalg.norm(motion.v_N, axis=1) + radius * np.linalg.norm(motion.w_N, axis=1)
-    steps = int(np.clip(np.ceil(horizon_s * fastest.max() / (0.75 * step)), 50, MAX_STEPS))
-    return np.asarray(np.linspace(0.0, horizon_s, steps + 1))
-
-
-def points_near_surface(
-    field: Floats, origin: Array, step: float, motion: BodyMotion, points: Array, band_m: Array
-) -> NDArray[np.int64]:
-    """Pairs (k, 2) of instant and point within the band of the swept surface.
-
-    Of each cell and part of the horizon the one that protrudes most.
+def fine_times(motion: BodyMotion, radius: float, allowed_m: Array, horizon_s: float) -> Array:
+    """Instants from 0, between which no point moves by more than about ``allowed_m`` (T,) [m], of the motion's
+    instants.
     """
-    grid, shape = np.ascontiguousarray(field), np.array(field.shape)
-    values, keys, pairs = [], [], []
-    for k, (R, p) in enumerate(zip(motion.R_NG, motion.p_NG, strict=True)):
-        p_N = points @ R.T + p
-        value = values_at(grid, origin, step, p_N)
-        near = np.flatnonzero(value > -band_m[k] - step)
-        cell = np.clip(((p_N[near] - origin) / step).astype(np.int64), 0, shape - 1)
-        key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
-        keys.append(key * PARTS_OF_HORIZON + k * PARTS_OF_HORIZON // len(band_m))
-        values.append(value[near])
-        pairs.append(np.stack([np.full(len(near), k), near], axis=1))
-    value, key, pair = np.concatenate(values), np.concatenate(keys), np.concatenate(pairs)
-    order = np.lexsort((-value, key))
-    _, first = np.unique(key[order], return_index=True)
-    return np.asarray(pair[order[first]])
+    speed = np.linalg.norm(motion.v_N, axis=1) + radius * np.linalg.norm(motion.w_N, axis=1)
+    time_s = np.concatenate([[0.0], motion.time_s])
+    steps = np.concatenate([[0.0], np.cumsum(np.diff(time_s) * speed / allowed_m)])
+    count = int(np.clip(np.ceil(steps[-1]), LEAST_STEPS, MAX_STEPS))
+    # a body at rest, too, has its instants
+    progress = steps / max(steps[-1], 1e-12) + 1e-3 * time_s / horizon_s
+    return np.asarray(np.interp(np.linspace(0.0, progress[-1], count + 1), progress, time_s))

@@ -1,0 +1,330 @@
+"""Space around the mesh that may hold matter, by the outlines of the target in all frames.
+
+Stereo measures no boom that is thinner than its windows, and a mesh ends where nothing was measured. Each
+frame says of each cell of a grid in G one of three things:
+
+    free      the ray through it ends on surface that stereo measured behind it, or in the sky although the
+              Sun reaches the cell
+    shown     the ray ends on the target where the model has no surface: matter somewhere along it
+    nothing   it lies behind the surface, in the model's shadow, or within the blur of an edge
+
+A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from silhouettes:
+Laurentini, IEEE PAMI 16, 1994). It is *possible* where no two frames say that it is free and the convex hull
+of surface and outlined cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos
+and Seitz, Int. J. Computer Vision 38, 2000). Lighted matter may face away from the Sun: outlined are cells
+that a share of the frames shows.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.ndimage import label, minimum_filter
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from polhode.geometry.camera import RectifiedRig
+from polhode.geometry.lie import Array, Bools, Ints
+from polhode.mapping.visibility import Caster, FrameView, MeshViewer, directions, sun_in_G
+from polhode.records.occupancy import FREE, OUTLINED, POSSIBLE, Occupancy
+from polhode.records.surface import DepthMap
+from polhode.runtime.compiled import compiled_ieee
+
+Floats = NDArray[np.float32]
+Counts = NDArray[np.uint16]
+
+CELLS = 80
+"""Along a side of the grid"""
+BEYOND_MOST = 1.2
+"""Half a side of the grid over the farthest that three quarters of the outlines reach"""
+BLUR_PX = 2.5
+"""Distance from an outline within which a pixel says nothing"""
+ABOVE_SKY = 5.0
+"""Intensity over the sky's at which a pixel is no sky [8-bit levels]"""
+DEPTH_SIGMAS = 3.0
+LEAST_SHOWN, LEAST_FREE = 3, 2
+"""Frames that make a cell outlined, or free"""
+SHARE_SHOWN = 0.25
+"""Of the frames that say something, those that show an outlined cell"""
+LEAST_SPREAD = 0.06
+"""One minus the mean of the directions from which a cell is shown: 20 degrees about their mean"""
+DIRECTIONS, WITHIN_SHARE = 300, 0.15
+LEAST_LIT = 0.25
+"""Share of the visible model that must be in light where the sky is to tell that nothing is there"""
+PASSES = 3
+SHADOW_PX, SHADOW_CELLS = 160, 1.5
+LEAST_CELLS = 8
+"""Of a piece of outlined cells that does not touch the surface"""
+SKY, TARGET, NOTHING, BEFORE = 0, 1, 2, 3
+"""What a pixel shows"""
+
+
+def occupancy_of(
+    mesh: trimesh.Trimesh,
+    views: Sequence[FrameView],
+    depths: Iterable[DepthMap],
+    rig: RectifiedRig,
+    sun_N: Array | None,
+    caster: Caster | None = None,
+) -> Occupancy:
+    """The grid of a mesh in G and the frames that show it, with their depth maps; sun_N (3,): None: unknown.
+
+    Raises ValueError without frames.
+    """
+    if not views:
+        raise ValueError("no frames")
+    viewer, vertices = MeshViewer(mesh, caster), np.asarray(mesh.vertices, dtype=np.float64)
+    pictures = [_Picture(*each, viewer, rig) for each in zip(views, depths, strict=True)]
+    origin, step_m = _grid(mesh, pictures)
+    shown, free = (np.zeros((CELLS, CELLS, CELLS), dtype=np.uint16) for _ in range(2))
+    from_ = np.zeros((CELLS, CELLS, CELLS, 3), dtype=np.float32)
+    for picture in pictures:
+        _count(shown, free, from_, origin, step_m, picture.eye_G, *picture.parts)
+    outlined = (shown >= LEAST_SHOWN) & (shown >= SHARE_SHOWN * (shown + free))
+    # what lies within a cell stands for the rest of the surface
+    thin = origin + step_m * np.unique(np.rint((vertices - origin) / step_m), axis=0)
+    outlined[outlined] = _is_located(
+        origin + step_m * np.argwhere(outlined), from_[outlined], shown[outlined], thin
+    )
+    pieces, count = label(outlined, np.ones((3, 3, 3)))
+    outlined &= np.bincount(pieces.ravel(), minlength=count + 1)[pieces] >= LEAST_CELLS
+    state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
+    cell = _inside_hull(np.concatenate([thin, origin + step_m * np.argwhere(outlined)]), origin, step_m)
+    excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
+    for _ in range(PASSES):
+        for n, (view, picture) in enumerate(zip(views, pictures, strict=True)):
+            towards = np.zeros(3) if sun_N is None else sun_in_G(view, sun_N)
+            _carve(excluded, open_, cell, origin, step_m, np.uint64(n), towards, thin, *picture.parts)
+    left = cell[open_]
+    possible = left[state[tuple(left.T)] == FREE]
+    state[tuple(possible.T)] = POSSIBLE
+    return Occupancy(origin, step_m, state)
+
+
+def _is_located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> Bools:
+    """(n,) whether shown cells at p_G (n, 3) are where the rays say, from directions with the sum (n, 3).
+
+    Rays that are nearly parallel do not say how far away it is: no nearer or farther than the surface is.
+    """
+    length = np.linalg.norm(from_, axis=1)
+    towards = directions(DIRECTIONS)
+    depth = vertices @ towards.T
+    low, high = depth.min(axis=0), depth.max(axis=0)
+    more = WITHIN_SHARE * (high - low)
+    nearest = cKDTree(towards).query(from_ / length[:, None])[1]
+    along = np.einsum("nk,nk->n", p_G, towards[nearest])
+    between = (along >= (low - more)[nearest]) & (along <= (high + more)[nearest])
+    return np.asarray((1.0 - length / shown >= LEAST_SPREAD) | between)
+
+
+def _inside_hull(points: Array, origin: Array, step_m: float) -> Ints:
+    """(m, 3) cells in planes around the convex hull of cells at points; none where these are in a plane."""
+    try:
+        normals = ConvexHull(points).equations[:, :3]
+    except QhullError:
+        return np.zeros((0, 3), dtype=np.int64)
+    # of many planes those in different directions
+    normals = np.unique(np.round(normals, 1), axis=0)
+    reach = (points @ normals.T).max(axis=0) + 0.5 * step_m * np.abs(normals).sum(axis=1)
+    return np.argwhere(_within(normals, reach, origin, step_m))
+
+
+@compiled_ieee
+def _within(normals: Array, reach: Array, origin: Array, step: float) -> Bools:
+    """Cells (CELLS, CELLS, CELLS) behind all planes, with normals (n, 3) of any length and offsets (n,)."""
+    inside = np.zeros((CELLS, CELLS, CELLS), dtype=np.bool_)
+    for i in range(CELLS):
+        for j in range(CELLS):
+            for k in range(CELLS):
+                x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
+                inside[i, j, k] = True
+                for n in range(len(reach)):
+                    if normals[n, 0] * x + normals[n, 1] * y + normals[n, 2] * z > reach[n]:
+                        inside[i, j, k] = False
+                        break
+    return inside
+
+
+def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array, float]:
+    """Centre of the first cell and edge of a cell [m]: a cube about what the outlines of most frames show.
+
+    A frame whose outline goes far beyond the others' has failed masks: it shows no matter.
+    """
+    low, high = np.asarray(mesh.bounds)
+    middle = 0.5 * (low + high)
+    reaches_m = np.array([picture.reach_m(middle) for picture in pictures])
+    half_m = max(BEYOND_MOST * float(np.quantile(reaches_m, 0.75)), 0.55 * float((high - low).max()))
+    for picture, reach_m in zip(pictures, reaches_m, strict=True):
+        if reach_m > half_m:
+            picture.kind[picture.kind == TARGET] = NOTHING
+    return middle - half_m, 2.0 * half_m / (CELLS - 1)
+
+
+class _Picture:
+    """What one frame's pixels (h, w) say."""
+
+    def __init__(self, view: FrameView, depth: DepthMap, viewer: MeshViewer, rig: RectifiedRig) -> None:
+        height, width = view.image.shape
+        rows, columns = slice(view.v0, view.v0 + height), slice(view.u0, view.u0 + width)
+        measured = depth.depth_m[rows, columns]
+        sigma = np.float32(DEPTH_SIGMAS) * depth.sigma_m[rows, columns]
+        model = viewer.perspective(rig, view.X_RG, view.u0 + np.arange(width), view.v0 + np.arange(height))
+        nearest = np.fmin(measured + sigma, model.depth_m.astype(np.float32))
+        self.behind_m = np.where(np.isfinite(nearest), nearest, np.float32(np.inf))
+        """Depth beyond which nothing is seen"""
+        before = np.where(np.isfinite(measured), measured - sigma, np.float32(-np.inf))
+        self.free_to_m = np.ascontiguousarray(minimum_filter(before, 3))
+        """Depth up to which nothing is there"""
+        sky_level = view.lit_above - 12.0
+        shows = view.silhouette | (view.smooth > sky_level + ABOVE_SKY)
+        kind = np.full(view.image.shape, NOTHING, dtype=np.uint8)
+        hit = np.isfinite(model.depth_m)
+        is_lit = (hit & shows).sum() >= LEAST_LIT * hit.sum()
+        if is_lit:
+            kind[_far_from(shows)] = SKY
+        kind[shows & _far_from(np.isfinite(self.behind_m))] = TARGET
+        self.eye_G = view.eye_G
+        self.outline = view.silhouette & _reached(shows, np.isfinite(self.behind_m))
+        # beyond what was read there is the sky, which only tells something in light
+        size = (rig.width_px, rig.height_px) if is_lit else (0, 0)
+        pinhole = np.array(
+            [rig.focal_px, rig.cx_px - view.u0, rig.cy_px - view.v0, view.u0, view.v0, *size],
+            dtype=np.float64,
+        )
+        X = np.ascontiguousarray(view.X_RG, dtype=np.float64)
+        self.kind = kind
+        self.parts = (X, pinhole, self.behind_m.astype(np.float32), self.free_to_m, kind)
+
+    def reach_m(self, middle_G: Array) -> float:
+        """The farthest that the outline is from a point (3,), in its plane across the line of sight."""
+        X, (focal_px, *centre_px) = self.parts[0], self.parts[1][:3]
+        at, (v, u) = X[:3, :3] @ middle_G + X[:3, 3], np.nonzero(self.outline)
+        place_px = focal_px * at[:2] / at[2] + centre_px
+        return float(np.hypot(u - place_px[0], v - place_px[1]).max(initial=0.0) * at[2] / focal_px)
+
+
+def _reached(mask: Bools, start: Bools) -> Bools:
+    """The parts of a mask (h, w) that touch ``start``, which stars and other junk do not."""
+    parts, count = label(mask, np.ones((3, 3)))
+    touched = np.zeros(count + 1, dtype=bool)
+    touched[np.unique(parts[start])] = True
+    touched[0] = False
+    return np.asarray(touched[parts])
+
+
+def _far_from(mask: Bools) -> Bools:
+    """Pixels farther than the blur from all of a mask (h, w)."""
+    away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(away > BLUR_PX)
+
+
+@compiled_ieee
+def _shows(
+    x: float, y: float, z: float, step: float,
+    X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
+) -> int:  # fmt: skip
+    """What a frame says of the cell at a point: SKY, TARGET, NOTHING, or BEFORE a measured surface."""
+    height, width = kind.shape
+    depth = X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3]
+    if depth <= 0.0:
+        return NOTHING
+    across = X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3]
+    down = X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3]
+    column = int(np.rint(pinhole[0] * across / depth + pinhole[1]))
+    row = int(np.rint(pinhole[0] * down / depth + pinhole[2]))
+    if row < 0 or row >= height or column < 0 or column >= width:
+        # the part of the image that was read contains the whole outline
+        row, column = row + int(pinhole[4]), column + int(pinhole[3])
+        return SKY if 0 <= row < pinhole[6] and 0 <= column < pinhole[5] else NOTHING
+    if depth > behind[row, column] + step:
+        return NOTHING
+    return BEFORE if depth < free_to[row, column] - step else int(kind[row, column])
+
+
+@compiled_ieee
+def _count(
+    shown: Counts, free: Counts, from_: Floats, origin: Array, step: float, eye: Array,
+    X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Count for each cell whether a frame shows matter on its ray, or none; and sum the directions to the eyes
+    that it is shown to.
+    """
+    nx, ny, nz = shown.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
+                what = _shows(x, y, z, step, X, pinhole, behind, free_to, kind)
+                if what == TARGET:
+                    shown[i, j, k] += 1
+                    a, b, c = eye[0] - x, eye[1] - y, eye[2] - z
+                    away = np.sqrt(a * a + b * b + c * c)
+                    from_[i, j, k, 0] += a / away
+                    from_[i, j, k, 1] += b / away
+                    from_[i, j, k, 2] += c / away
+                elif what != NOTHING:
+                    free[i, j, k] += 1
+
+
+@compiled_ieee
+def _carve(
+    excluded: NDArray[np.uint64], open_: Bools, cell: Ints, origin: Array, step: float,
+    frame: np.uint64, sun: Array, vertices: Array,
+    X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Close the cells (m, 3) that this frame and another one exclude.
+
+    A cell before the sky is only excluded where the Sun reaches it past the surface and open cells.
+    """
+    bit = np.uint64(1) << frame
+    # directions across the Sun's
+    a = np.zeros(3)
+    a[np.argmin(np.abs(sun))] = 1.0
+    a = np.cross(a, sun)
+    is_known = np.sqrt(np.sum(a * a)) > 0.0
+    if is_known:
+        a /= np.sqrt(np.sum(a * a))
+    b = np.cross(sun, a)
+    pixel = SHADOW_CELLS * step
+    middle = origin + 0.5 * step * CELLS
+    nearest = np.full((SHADOW_PX, SHADOW_PX), -np.inf)
+    if is_known:
+        for n in range(len(vertices)):
+            d = vertices[n] - middle
+            p, q = (
+                int(np.rint(np.dot(d, a) / pixel)) + SHADOW_PX // 2,
+                int(np.rint(np.dot(d, b) / pixel)) + SHADOW_PX // 2,
+            )
+            if 0 <= p < SHADOW_PX and 0 <= q < SHADOW_PX:
+                nearest[p, q] = max(nearest[p, q], np.dot(d, sun))
+        for n in range(len(cell)):
+            if open_[n]:
+                d = origin + step * cell[n] - middle
+                p, q = (
+                    int(np.rint(np.dot(d, a) / pixel)) + SHADOW_PX // 2,
+                    int(np.rint(np.dot(d, b) / pixel)) + SHADOW_PX // 2,
+                )
+                if 0 <= p < SHADOW_PX and 0 <= q < SHADOW_PX:
+                    nearest[p, q] = max(nearest[p, q], np.dot(d, sun))
+    for n in range(len(cell)):
+        if not open_[n] or excluded[n] & bit:
+            continue
+        x, y, z = origin[0] + step * cell[n, 0], origin[1] + step * cell[n, 1], origin[2] + step * cell[n, 2]
+        what = _shows(x, y, z, step, X, pinhole, behind, free_to, kind)
+        if what == SKY and is_known:
+            d = np.array([x, y, z]) - middle
+            p, q = (
+                int(np.rint(np.dot(d, a) / pixel)) + SHADOW_PX // 2,
+                int(np.rint(np.dot(d, b) / pixel)) + SHADOW_PX // 2,
+            )
+            if (
+                0 <= p < SHADOW_PX
+                and 0 <= q < SHADOW_PX
+                and np.dot(d, sun) < nearest[p, q] - SHADOW_CELLS * step
+            ):
+                continue
+        if what == SKY or what == BEFORE:
+            excluded[n] |= bit
+            if excluded[n] != bit:
+                open_[n] = False
