@@ -26,7 +26,8 @@ from polhode.planning.approach.trajectory import (
     plan_trajectory,
 )
 from polhode.planning.keep_out.measured_body import sample_surface
-from polhode.planning.keep_out.volumes import InstantKeepOut, KeepOutOptions, keep_out
+from polhode.planning.keep_out.queries import InstantKeepOut
+from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out
 from polhode.planning.plan import final_estimate, surface_of
 from polhode.records.metrics import truth_at
 from polhode.records.read_truth import read_truth

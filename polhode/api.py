@@ -28,7 +28,8 @@ from polhode.planning.exports.export_run import export_run
 from polhode.planning.exports.formats import FORMATS, Format
 from polhode.planning.exports.options import ExportOptions, FrameName, Poses, Unit
 from polhode.planning.keep_out.measured_body import Cover
-from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
+from polhode.planning.keep_out.queries import KeepOut
+from polhode.planning.keep_out.volumes import KeepOutOptions
 from polhode.planning.observability.assess import (
     Assessment,
     CameraOptions,

@@ -17,8 +17,8 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 class PlanCommand(Command):
     """What planners need from a run: keep-out volume, speeds of the surface, corridor, path of an approach.
 
-    Writes keepout.ply and .glb (N), surface_speed.ply (G), corridor.csv (N), planning.json, and plan.txt (N):
-    the camera's path from its last pose to the docking point, or else towards the target, for polhode
+    Writes keepout.ply, .glb and .npz (N), surface_speed.ply (G), corridor.csv (N), planning.json, and plan.txt
+    (N): the camera's path from its last pose to the docking point, or else towards the target, for polhode
     observability RUN --trajectory DIR/plan.txt --frame inertial.
     """
 
@@ -37,6 +37,8 @@ class PlanCommand(Command):
     hull where it is open."""
     members: Annotated[int | None, Named("N"), Field(ge=60, le=100_000)] = None
     """Motions drawn from the covariance; by default 600 up to 99 %, more beyond."""
+    instants: Annotated[int, Named("N"), Field(ge=0, le=1000)] = 0
+    """Number of instants, spread over the horizon, whose volumes are written as keepout_000.ply and so on."""
     dock_point: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, Named("X Y Z")] = None
     """Docking point in G [m]."""
     dock_axis: Annotated[tuple[float, float, float] | None, Named("X Y Z")] = None
@@ -67,7 +69,7 @@ class PlanCommand(Command):
                 point, axis = np.array(self.dock_point), np.array(self.dock_axis)
                 docking = Docking(point, axis, self.stand_off_m, self.isp_s)
             wanted = KeepOutOptions(self.horizon_s, self.confidence, members=self.members, cover=self.cover)
-            plan = plan_run(self.run, wanted, docking, choose_progress())
+            plan = plan_run(self.run, wanted, docking, choose_progress(), self.instants)
             names = write_plan(plan, place)
         return Answer(
             f"{', '.join(names)}: {self.output}",

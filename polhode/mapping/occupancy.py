@@ -8,11 +8,11 @@ frame says of each cell of a grid in G one of three things:
     shown     the ray ends on the target where the model has no surface: matter somewhere along it
     nothing   it lies behind the surface, in the model's shadow, or within the blur of an edge
 
-A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from silhouettes:
-Laurentini, IEEE PAMI 16, 1994). It is *possible* where no two frames say that it is free and the convex hull
-of surface and outlined cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos
-and Seitz, Int. J. Computer Vision 38, 2000). Lighted matter may face away from the Sun: outlined are cells
-that a share of the frames shows.
+A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from
+silhouettes: Laurentini, IEEE PAMI 16, 1994). As matter may face away from the Sun, a share of the frames is
+enough. It is *possible* where no two frames say that it is free and the convex hull of surface and outlined
+cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos and Seitz, Int. J.
+Computer Vision 38, 2000).
 """
 
 from collections.abc import Iterable, Sequence
@@ -45,7 +45,7 @@ ABOVE_SKY = 5.0
 DEPTH_SIGMAS = 3.0
 LEAST_SHOWN, LEAST_FREE = 3, 2
 """Frames that make a cell outlined, or free"""
-SHARE_SHOWN = 0.25
+SHARE_SHOWN = 0.3
 """Of the frames that say something, those that show an outlined cell"""
 LEAST_SPREAD = 0.06
 """One minus the mean of the directions from which a cell is shown: 20 degrees about their mean"""
@@ -247,7 +247,7 @@ def _count(
     shown: Counts, free: Counts, from_: Floats, origin: Array, step: float, eye: Array,
     X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Count for each cell whether a frame shows matter on its ray, or none; and sum the directions to the eyes
+    """Count for each cell whether a frame shows matter on its ray, or none; and add the direction to an eye
     that it is shown to.
     """
     nx, ny, nz = shown.shape
@@ -324,7 +324,7 @@ def _carve(
                 and np.dot(d, sun) < nearest[p, q] - SHADOW_CELLS * step
             ):
                 continue
-        if what == SKY or what == BEFORE:
+        if what in (SKY, BEFORE):
             excluded[n] |= bit
             if excluded[n] != bit:
                 open_[n] = False

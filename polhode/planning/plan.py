@@ -17,9 +17,9 @@ from polhode.planning.approach.corridor import (
     towards_centre,
 )
 from polhode.planning.approach.surface_speed import SurfaceSpeed, surface_speed
+from polhode.planning.keep_out.queries import KeepOut
 from polhode.planning.keep_out.volumes import (
     LEAST_MEMBERS,
-    KeepOut,
     KeepOutOptions,
     keep_out_of_all,
     member_times,
@@ -40,10 +40,10 @@ MOST_CONFIDENT = 0.9999
 COVERED = {
     "possible": "Keep-out applies to the measured surface with all that it encloses, to what the outlines of "
     "several frames show beside it, and to what no frame excludes.",
-    "outlines": "Keep-out applies to the measured surface with all that it encloses, and to what the outlines "
-    "of several frames show beside it (open boundaries span {share} of the surface).",
-    "surface": "Keep-out applies to the measured surface and what it encloses (open boundaries span {share} of "
-    "its area).",
+    "outlines": "Keep-out applies to the measured surface with all that it encloses, and to what the "
+    "outlines of several frames show beside it (open boundaries span {share} of the surface).",
+    "surface": "Keep-out applies to the measured surface and what it encloses (open boundaries span {share} "
+    "of its area).",
     "hull": "Keep-out applies to the convex hull of what was measured (open boundaries span {share} of the "
     "surface), so concavities are filled.",
 }
@@ -86,6 +86,8 @@ class Plan:
     notes: tuple[str, ...]
     intervals: Intervals | None = None
     """Of what the run does not determine"""
+    instants_s: tuple[float, ...] = ()
+    """Times whose volumes are written"""
 
 
 def final_estimate(run: Path) -> tuple[FinalEstimate, Summary]:
@@ -105,9 +107,15 @@ def surface_of(run: Path) -> SurfaceModel:
 
 
 def plan_run(
-    run: Path, options: KeepOutOptions, docking: Docking | None, progress: Progress | None = None
+    run: Path,
+    options: KeepOutOptions,
+    docking: Docking | None,
+    progress: Progress | None = None,
+    instants: int = 0,
 ) -> Plan:
     """All parts that the run allows; the others are named with the reason.
+
+    instants: number of times, spread over the horizon, whose volumes are to be written.
 
     A rotation that the images leave open has several hypotheses: the volume and the largest speeds are those
     of all of them, and what belongs to a place on the target is left out.
@@ -181,6 +189,7 @@ def plan_run(
         left_out=left_out,
         notes=tuple(notes),
         intervals=summary.intervals,
+        instants_s=tuple(np.linspace(0.0, options.horizon_s, instants).tolist()),
     )
 
 

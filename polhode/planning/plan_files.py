@@ -3,8 +3,10 @@
 No picture is a result: if one cannot be made, there is a warning.
 """
 
+import io
 import json
 import logging
+import re
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from polhode.files.output.marked_folder import marked_folder, write_files
 from polhode.files.ply import binary_ply
@@ -21,6 +24,8 @@ from polhode.planning.approach.corridor import Corridor
 from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.planning.exports.ccsds import tum
+from polhode.planning.keep_out.measured_body import REASONS, ScalarGrid
+from polhode.planning.keep_out.queries import KeepOut
 from polhode.planning.plan import Plan
 from polhode.records.surface import SurfaceModel
 from polhode.report.pictures.body_views import (
@@ -41,10 +46,20 @@ IN_N = "X_NR: poses in N"
 
 COMMAND = "plan"
 FILES = (
-    "keepout.ply", "keepout.glb", "keepout.png", "surface_speed.ply", "corridor.csv",
+    "keepout.ply", "keepout.glb", "keepout.npz", "keepout.png", "surface_speed.ply", "corridor.csv",
     "plan.txt", "planning.json",
 )  # fmt: skip
-"""Files that the command writes; those of an earlier call that this one does not write are removed."""
+REASON_RGB = ((69, 115, 184), (214, 126, 44), (150, 150, 150))
+"""Colours of what was measured, seen in outlines, not excluded"""
+
+
+def is_plan_file(name: str) -> bool:
+    """Whether the command writes a file of this name; those of an earlier call that this one does not write
+    are removed.
+    """
+    return name in FILES or re.fullmatch(r"keepout_\d{3,4}\.(ply|glb)", name) is not None
+
+
 SIDE_PX = 340
 
 _log = logging.getLogger(__name__)
@@ -56,6 +71,7 @@ def draw_keepout(plan: Plan) -> bytes:
     keep, surface = plan.keep_out, plan.surface
     assert keep is not None and surface is not None
     volume, motion = keep.swept.mesh, keep.instant.motion
+    by_reason = np.array(REASON_RGB)[keep.reasons(np.asarray(volume.vertices, dtype=np.float64))] / 255.0
     around, body = MeshViewer(volume), MeshViewer(surface.mesh)
     normal_G, normal_N = np.asarray(surface.mesh.vertex_normals), np.asarray(volume.vertex_normals)
     middle = volume.bounds.mean(axis=0)
@@ -63,30 +79,31 @@ def draw_keepout(plan: Plan) -> bytes:
     corners = np.asarray(volume.vertices) - middle
     half = 1.05 * max(float(np.abs(corners @ np.stack([d.right, d.up]).T).max()) for d in sides)
     figure = Figure(figsize=(8.6, 9.5), dpi=DPI, facecolor="white", layout="constrained")
-    title = f"Keep-out volume over {plan.horizon_s:g} s at {plan.confidence:.1%}"
+    title = f"Keep-out volume over {plan.horizon_s:g} s at {100.0 * plan.confidence:g} %"
     figure.suptitle(title, size=14, weight="bold", color=INK)
     figure.supxlabel(
-        f"Blue: the volume, {1e3 * keep.swept.volume_m3:.3g} litres, shown translucent. White: the target at "
-        "the last pair; orange: at the horizon, as predicted.",
+        f"The volume, {volume_in_words(keep.swept.volume_m3)}, shown translucent: blue where the body was "
+        "measured, orange where\noutlines show it, grey where no frame excludes it. White: the target at the "
+        "last pair; red: at the horizon.",
         size=9,
         color=INK,
     )
 
-    def shaded(view: MeshView, normals: Array, side: Direction, rgb: tuple[float, ...]) -> Array:
+    def shaded(view: MeshView, normals: Array, side: Direction, rgb: Array) -> Array:
         return np.asarray(rgb * (0.5 + 0.5 * np.abs(cosine_to_light(view, normals, side)))[..., None])
 
     for number, side in enumerate(sides, start=1):
         outer = around.orthographic(middle, side.right, side.up, half, SIDE_PX)
-        blue = shaded(outer, normal_N, side, (0.27, 0.45, 0.72))
-        image, nearest = np.where(outer.hit[..., None], blue, GROUND), np.full(outer.hit.shape, np.inf)
-        for k, rgb in ((0, (0.93, 0.93, 0.90)), (-1, (0.95, 0.62, 0.25))):
+        veil = shaded(outer, normal_N, side, outer.values(by_reason))
+        image, nearest = np.where(outer.hit[..., None], veil, GROUND), np.full(outer.hit.shape, np.inf)
+        for k, rgb in ((0, (0.93, 0.93, 0.90)), (-1, (0.80, 0.30, 0.28))):
             R, p = motion.R_NG[k], motion.p_NG[k]
             view = body.orthographic(R.T @ (middle - p), R.T @ side.right, R.T @ side.up, half, SIDE_PX)
-            colours = shaded(view, normal_G @ R.T, side, rgb)
+            colours = shaded(view, normal_G @ R.T, side, np.array(rgb))
             first = view.hit & (np.nan_to_num(view.depth_m, nan=np.inf) < nearest)
             nearest = np.where(first, view.depth_m, nearest)
             # the volume veils the body
-            veiled = 0.65 * colours + 0.35 * np.where(outer.hit[..., None], blue, colours)
+            veiled = 0.65 * colours + 0.35 * np.where(outer.hit[..., None], veil, colours)
             image = np.where(first[..., None], veiled, image)
         axes = figure.add_subplot(2, 2, number)
         axes.imshow(image, interpolation="nearest")
@@ -101,18 +118,20 @@ def plan_folder(path: Path) -> AbstractContextManager[Path]:
 
     Raises InputError.
     """
-    return marked_folder(path, COMMAND, FILES.__contains__)
+    return marked_folder(path, COMMAND, is_plan_file)
 
 
 def write_plan(plan: Plan, folder: Path) -> list[str]:
-    """keepout.ply, keepout.glb, surface_speed.ply, corridor.csv, plan.txt, pictures, planning.json: all or
-    none; the names of those written. Raises InputError, RunFailure."""
+    """Volumes, surface speeds, corridor, path, pictures and planning.json: all or none; the names of those
+    written. Raises InputError, RunFailure.
+    """
     files, summary = dict[str, bytes](), summary_of(plan)
-    if plan.keep_out is not None:
-        for kind in ("ply", "glb"):
-            content = plan.keep_out.swept.mesh.export(file_type=kind)
-            assert isinstance(content, bytes)
-            files[f"keepout.{kind}"] = content
+    if (keep := plan.keep_out) is not None:
+        files |= volume_files("keepout", keep, keep.swept.mesh)
+        files["keepout.npz"] = field_npz(keep.swept.field())
+        for number, time_s in enumerate(plan.instants_s):
+            mesh = keep.instant.level(time_s).mesh()
+            files |= volume_files(f"keepout_{number:03d}", keep, mesh, time_s)
     if plan.speed is not None and plan.surface is not None:
         files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:
@@ -127,8 +146,48 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
         except Exception as error:  # noqa: BLE001  a picture is no result: the plan goes on without it
             _log.warning("no picture: keepout.png (%s: %s)", type(error).__name__, error)
     files["planning.json"] = (json.dumps(summary, indent=1) + "\n").encode()
-    write_files(folder, COMMAND, files, FILES.__contains__)
+    write_files(folder, COMMAND, files, is_plan_file)
     return list(files)
+
+
+def volume_files(
+    name: str, keep: KeepOut, mesh: trimesh.Trimesh, time_s: float | None = None
+) -> dict[str, bytes]:
+    """PLY and GLB of a volume in N, coloured by why each vertex is there, in the PLY also as ``reason``."""
+    reason = keep.reasons(np.asarray(mesh.vertices, dtype=np.float64), time_s)
+    rgb = np.array(REASON_RGB, dtype=np.uint8)[reason]
+    columns = dict(zip("xyz", np.asarray(mesh.vertices).T, strict=True))
+    columns |= dict(zip(("nx", "ny", "nz"), np.asarray(mesh.vertex_normals).T, strict=True))
+    vertices = np.zeros(
+        len(rgb),
+        dtype=[*((n, "<f4") for n in columns), *((n, "u1") for n in ("red", "green", "blue", "reason"))],
+    )
+    for key, values in columns.items():
+        vertices[key] = values
+    for key, values in zip(("red", "green", "blue"), rgb.T, strict=True):
+        vertices[key] = values
+    vertices["reason"] = reason
+    words = ", ".join(f"{n} {each}" for n, each in enumerate(REASONS))
+    at = "" if time_s is None else f", {time_s:g} s after the last pair"
+    ply = binary_ply(vertices, [f"frame N, metres{at}; reason: {words}"], triangles(mesh))
+    coloured = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=rgb, process=False)
+    glb = coloured.export(file_type="glb")
+    assert isinstance(glb, bytes)
+    return {f"{name}.ply": ply, f"{name}.glb": glb}
+
+
+def field_npz(field: ScalarGrid) -> bytes:
+    """The signed distance from the swept volume at the corners of a grid: origin_N, step_m, distance_m."""
+    content = io.BytesIO()
+    np.savez_compressed(content, origin_N=field.origin, step_m=field.step_m, distance_m=field.values)
+    return content.getvalue()
+
+
+def triangles(mesh: trimesh.Trimesh) -> NDArray[np.void]:
+    """The faces as ``binary_ply`` takes them."""
+    faces = np.zeros(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
+    faces["count"], faces["index"] = 3, mesh.faces
+    return faces
 
 
 def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
@@ -140,9 +199,12 @@ def speed_ply(mesh: trimesh.Trimesh, speed: SurfaceSpeed) -> bytes:
     vertices = np.zeros(len(mesh.vertices), dtype=[(name, "<f4") for name in columns])
     for name, values in columns.items():
         vertices[name] = values
-    faces = np.zeros(len(mesh.faces), dtype=[("count", "u1"), ("index", "<i4", (3,))])
-    faces["count"], faces["index"] = 3, mesh.faces
-    return binary_ply(vertices, ["frame G, metres, speeds relative to N in m/s"], faces)
+    return binary_ply(vertices, ["frame G, metres, speeds relative to N in m/s"], triangles(mesh))
+
+
+def volume_in_words(volume_m3: float) -> str:
+    """Litres, or cubic metres from one on."""
+    return f"{1e3 * volume_m3:.4g} litres" if volume_m3 < 1.0 else f"{volume_m3:.4g} m^3"
 
 
 VECTORS = ("tip_N", "axis_N", "place_N", "velocity_N", "acceleration_N")
@@ -177,10 +239,13 @@ def summary_of(plan: Plan) -> dict[str, Any]:
             "cell_m": keep.swept.level.step_m,
             "sigmas_of_pose": keep.swept.factor,
             "added_m": keep.swept.added_m,
+            "sigma_added_m": keep.swept.sigma_added_m,
+            "members": keep.members,
             "sigmas_of_surface": keep.body.sigmas,
             "covers": keep.body.covers,
             "open_share": keep.body.open_share,
             "body_margin_m": _ends(keep.instant.margin_m()),
+            "instants_s": list(plan.instants_s),
         }
     if plan.speed is not None and plan.surface is not None:
         speed = _grapples(plan.surface, plan.speed)
@@ -251,7 +316,7 @@ def format_plan(plan: Plan) -> str:
     if (keep := found["keepout"]) is not None:
         start, end = (1e3 * keep["body_margin_m"][k] for k in ("start", "end"))
         lines.append(
-            f"Keep-out {over} at {plan.confidence:.1%}: {1e3 * keep['volume_m3']:.4g} litres; "
+            f"Keep-out {over} at {100.0 * plan.confidence:g} %: {volume_in_words(keep['volume_m3'])}; "
             f"around the body {start:.3g} mm now, {end:.3g} mm at the end"
         )
     if (speed := found["surface_speed"]) is not None:

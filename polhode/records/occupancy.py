@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from polhode.geometry.lie import Array
 
 FREE, OUTLINED, POSSIBLE = STATES = 0, 1, 2
-"""States of a cell: shown to be free, shown to hold matter by the outlines of several frames, not excluded."""
+"""States of a cell: shown to be free; by several frames, to hold matter; excluded by no frame."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import pytest
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out import keep_out_truth as keep_out_truth_module
 from polhode.planning.keep_out.keep_out_truth import KeepOutTruth, keep_out_truth, truth_numbers
-from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
+from polhode.planning.keep_out.queries import KeepOut
+from polhode.planning.keep_out.volumes import KeepOutOptions
 from polhode.planning.plan import keep_out_of_run
 from polhode.runtime.errors import InputError
 from tests.pipeline.conftest import BOX_M, Example, write_example

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from polhode.geometry.lie import Array
-from polhode.planning.keep_out.volumes import InstantKeepOut
+from polhode.planning.keep_out.queries import InstantKeepOut
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,76 @@ def sigma_along(P: Array, x: float, y: float, z: float, found: Array) -> float:
 
 
 @compiled_ieee
+def grown_distances(
+    values: Floats, origin: Array, step: float, p_G: Array, P: Array
+) -> tuple[Array, Array, Array]:
+    """Distance (n,) of points (n, 3) in G from the body, sigma (n,) of the pose, P (n, 6, 6), along it, and
+    unit vectors (n, 3) away from the body.
+    """
+    n = len(p_G)
+    distance, sigma, gradient, found = np.empty(n), np.empty(n), np.zeros((n, 3)), np.empty(4)
+    for m in range(n):
+        linear(values, origin, step, p_G[m, 0], p_G[m, 1], p_G[m, 2], found)
+        distance[m], sigma[m] = found[0], sigma_along(P[m], p_G[m, 0], p_G[m, 1], p_G[m, 2], found)
+        size = np.sqrt(found[1] ** 2 + found[2] ** 2 + found[3] ** 2)
+        if size > 1e-9:
+            gradient[m] = found[1:] / size
+    return distance, sigma, gradient
+
+
+@compiled_ieee
+def reasons_of(
+    places: Array, R: Array, p: Array, values: Floats, origin: Array, step: float, reason: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint8], Array]:
+    """What the body nearest to places (n, 3) in N is known by, at the nearest of T instants, and its distance
+    (n,) there; R (T, 3, 3), p (T, 3); reason: of each corner of the body's grid.
+    """
+    nx, ny, nz = values.shape
+    out, least, found = np.zeros(len(places), dtype=np.uint8), np.full(len(places), np.inf), np.empty(4)
+    for n in range(len(places)):
+        for t in range(len(R)):
+            dx, dy, dz = places[n, 0] - p[t, 0], places[n, 1] - p[t, 1], places[n, 2] - p[t, 2]
+            x = R[t, 0, 0] * dx + R[t, 1, 0] * dy + R[t, 2, 0] * dz
+            y = R[t, 0, 1] * dx + R[t, 1, 1] * dy + R[t, 2, 1] * dz
+            z = R[t, 0, 2] * dx + R[t, 1, 2] * dy + R[t, 2, 2] * dz
+            linear(values, origin, step, x, y, z, found)
+            if found[0] < least[n]:
+                least[n] = found[0]
+                # of the body's surface nearest to the place
+                size = max(np.sqrt(found[1] ** 2 + found[2] ** 2 + found[3] ** 2), 1e-9)
+                x -= found[0] * found[1] / size
+                y -= found[0] * found[2] / size
+                z -= found[0] * found[3] / size
+                i = min(max(int(np.rint((x - origin[0]) / step)), 0), nx - 1)
+                j = min(max(int(np.rint((y - origin[1]) / step)), 0), ny - 1)
+                k = min(max(int(np.rint((z - origin[2]) / step)), 0), nz - 1)
+                out[n] = reason[i, j, k]
+    return out, least
+
+
+@compiled_ieee
+def nearest_approach(R: Array, p: Array, place: Array, values: Floats, origin: Array, step: float) -> Array:
+    """The least distance [m] of points (T, m, 3) in N from the body at poses R (n, T, 3, 3), p (n, T, 3): of
+    each member and instant (n, T).
+    """
+    out, found = np.full(p.shape[:2], np.inf), np.empty(4)
+    for n in range(len(R)):
+        for t in range(R.shape[1]):
+            for m in range(place.shape[1]):
+                dx, dy, dz = (
+                    place[t, m, 0] - p[n, t, 0],
+                    place[t, m, 1] - p[n, t, 1],
+                    place[t, m, 2] - p[n, t, 2],
+                )
+                x = R[n, t, 0, 0] * dx + R[n, t, 1, 0] * dy + R[n, t, 2, 0] * dz
+                y = R[n, t, 0, 1] * dx + R[n, t, 1, 1] * dy + R[n, t, 2, 1] * dz
+                z = R[n, t, 0, 2] * dx + R[n, t, 1, 2] * dy + R[n, t, 2, 2] * dz
+                linear(values, origin, step, x, y, z, found)
+                out[n, t] = min(out[n, t], found[0])
+    return out
+
+
+@compiled_ieee
 def sweep(
     fields: Floats,
     origin: Array,

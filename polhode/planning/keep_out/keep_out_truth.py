@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.geometry.lie import Array, Bools
-from polhode.planning.keep_out.volumes import KeepOut
+from polhode.planning.keep_out.queries import KeepOut
 from polhode.records.mesh_metrics import distance_to_surface
 from polhode.records.surface import SurfaceModel
 from polhode.report.evaluation import TrueBody, true_body_ahead

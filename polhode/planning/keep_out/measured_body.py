@@ -31,8 +31,9 @@ from polhode.runtime.errors import InputError
 Floats = NDArray[np.float32]
 Cover = Literal["auto", "possible", "outlines", "surface", "hull"]
 Covered = Literal["possible", "outlines", "surface", "hull"]
-MEASURED, OUTLINED, POSSIBLE = REASONS = 0, 1, 2
-"""Why a place belongs to the body: measured there; outlines show matter; no frame excludes it"""
+MEASURED, OUTLINED, POSSIBLE = 0, 1, 2
+REASONS = ("measured", "seen in outlines", "not excluded")
+"""Why a place belongs to the body"""
 STATES: dict[Covered, tuple[int, ...]] = {
     "possible": (occupancy.OUTLINED, occupancy.POSSIBLE), "outlines": (occupancy.OUTLINED,),
     "surface": (), "hull": (occupancy.OUTLINED,),
@@ -97,12 +98,6 @@ class MeasuredBody:
     """area that open boundaries span, over the area of the surface"""
     reason: NDArray[np.uint8]
     """(nx, ny, nz) which of REASONS the place of the body nearest to a corner of the grid belongs to"""
-
-    def reasons_at(self, p_G: Array) -> NDArray[np.uint8]:
-        """Which of REASONS (n,) for points (n, 3) near the surface of the body."""
-        cell = np.rint((p_G - self.grid.origin) / self.grid.step_m).astype(int)
-        i, j, k = np.clip(cell, 0, np.array(self.reason.shape) - 1).T
-        return np.asarray(self.reason[i, j, k])
 
     @property
     def radius_m(self) -> float:

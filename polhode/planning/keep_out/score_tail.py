@@ -1,9 +1,10 @@
 """The tail of a distribution of which some draws are known: levels that are seldom exceeded.
 
 Excesses over a high threshold follow a generalized Pareto distribution (Pickands, Annals of Statistics 3,
-1975). Its shape and scale are uncertain after few draws; the probability that a further draw exceeds a level is
-its mean over their posterior, so that a bound holds on average with the stated probability. Where enough draws
-lie beyond the bound, it is an order statistic (split conformal prediction: Vovk, Gammerman, Shafer 2005).
+1975). Its shape and scale are uncertain after few draws; the probability that a further draw exceeds a level
+is its mean over their posterior, so that a bound holds on average with the stated probability. Where enough
+draws lie beyond the bound, it is an order statistic (split conformal prediction: Vovk, Gammerman, Shafer
+2005).
 """
 
 from dataclasses import dataclass

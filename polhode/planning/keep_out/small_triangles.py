@@ -4,10 +4,12 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from polhode.geometry.lie import Array
+from polhode.geometry.lie import Array, Ints
 
-NEAREST_TRIANGLES = (16, 128)
-"""Candidates, more for points that have not found the nearest one"""
+NEAREST_TRIANGLES = 16
+"""Candidates that are looked at first"""
+CHUNK = 2000
+"""Points at a time that need all that may be nearest"""
 
 
 class SmallTriangles:
@@ -21,32 +23,39 @@ class SmallTriangles:
         self._radius_m = float(np.linalg.norm(self._corners - centres[:, None], axis=2).max())
 
     def signed_distance(self, points: Array) -> tuple[Array, Array]:
-        """Lower and upper bound (n,) of the distance of points (n, 3), negative behind the nearest triangle.
-
-        They agree but for far points, by less than a triangle.
+        """Distance (n,) of points (n, 3), negative behind the nearest triangle, and unit vectors (n, 3)
+        outwards, along which it grows.
         """
-        low, high = np.empty(len(points)), np.empty(len(points))
-        unsure = np.arange(len(points))
-        for count in NEAREST_TRIANGLES:
-            low[unsure], high[unsure] = self._bounds(points[unsure], min(count, len(self._corners)))
-            unsure = unsure[low[unsure] < high[unsure]]
-        return low, high
+        count = min(NEAREST_TRIANGLES, len(self._corners))
+        away, index = self._tree.query(points, k=np.arange(1, count + 1))
+        rows = np.repeat(np.arange(len(points)), count)
+        distance, outwards = self._nearest(points, rows, index.reshape(-1))
+        # no other triangle can be nearer than the last centre less a triangle's radius
+        unsure = np.flatnonzero(np.abs(distance) > away[:, -1] - self._radius_m)
+        for part in np.array_split(unsure, max(1, len(unsure) // CHUNK)):
+            reach = np.abs(distance[part]) + 1.001 * self._radius_m
+            found = self._tree.query_ball_point(points[part], reach)
+            rows = np.repeat(np.arange(len(part)), [len(each) for each in found])
+            if len(part):
+                near = np.concatenate(found).astype(np.int64)
+                distance[part], outwards[part] = self._nearest(points[part], rows, near)
+        return distance, outwards
 
-    def _bounds(self, points: Array, count: int) -> tuple[Array, Array]:
-        """As ``signed_distance``, from so many candidates.
+    def _nearest(self, points: Array, rows: Ints, index: Ints) -> tuple[Array, Array]:
+        """As ``signed_distance``, from candidates: triangles (m,) for points of the rows (m,), ascending.
 
         Where several are equally near, at an edge or corner, that whose plane is farthest decides.
         """
-        away, index = self._tree.query(points, k=np.arange(1, count + 1))
-        best, side = np.full(len(points), np.inf), np.zeros(len(points))
-        for n in range(count):
-            off = points - trimesh.triangles.closest_point(self._corners[index[:, n]], points)
-            found = np.linalg.norm(off, axis=1)
-            plane = np.einsum("ni,ni->n", off, self._normals[index[:, n]])
-            alike = np.abs(found - best) <= 1e-9 + 1e-6 * found
-            better = (found < best) & ~alike | alike & (np.abs(plane) > np.abs(side))
-            side, best = np.where(better, plane, side), np.minimum(best, found)
-        # no other triangle can be nearer than the last centre less a triangle's radius
-        rest = np.inf if count == len(self._corners) else away[:, -1] - self._radius_m
-        least = np.clip(rest, 0.0, best)
-        return np.where(side < 0.0, -best, least), np.where(side < 0.0, -least, best)
+        off = points[rows] - trimesh.triangles.closest_point(self._corners[index], points[rows])
+        found = np.linalg.norm(off, axis=1)
+        plane = np.einsum("mi,mi->m", off, self._normals[index])
+        least = np.full(len(points), np.inf)
+        np.minimum.at(least, rows, found)
+        alike = found <= least[rows] + 1e-9 + 1e-6 * found
+        order = np.lexsort((np.where(alike, np.abs(plane), -1.0), rows))
+        best = order[np.searchsorted(rows[order], np.arange(len(points)), side="right") - 1]
+        side = np.where(plane[best] < 0.0, -1.0, 1.0)
+        # on the surface itself the normal
+        along = side[:, None] * off[best] / np.maximum(least, 1e-300)[:, None]
+        outwards = np.where((least > 1e-9 * self._radius_m)[:, None], along, self._normals[index[best]])
+        return side * least, outwards

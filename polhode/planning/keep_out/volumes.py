@@ -1,14 +1,15 @@
 """The keep-out volume: the space that the target may sweep over a horizon, at a confidence.
 
-Three steps. The body is grown until it contains the true one (``measured_body``). The volume that it sweeps by
-the estimated motion is grown by c sigma of the pose, instant by instant. Members sampled from the covariance
-then give the margin to be added: with it, all but the allowed share of them stay inside with their whole sweep
-(``score_tail``). This also compensates errors of the grid and of the linearised sigma. Some of the members
-choose the c of the smallest volume, on a coarse grid; the others, independent of that choice, give the margin.
+Three steps. The body is grown until it contains the true one (``measured_body``). The volume that it sweeps
+by the estimated motion is grown by c sigma of the pose, instant by instant. Members sampled from the
+covariance then give the margin to be added: with it, all but the allowed share of them stay inside with
+their whole sweep (``score_tail``). This also compensates errors of the grid and of the linearised sigma. Some
+of the members choose the c of the smallest volume, on a coarse grid; the others, independent of that choice,
+give the margin.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -17,11 +18,9 @@ from numpy.typing import NDArray
 
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out.distance_fields import (
-    linear,
     outermost_pairs,
     protrusion,
     protrusion_at_instants,
-    sigma_along,
     sweep,
 )
 from polhode.planning.keep_out.measured_body import (
@@ -32,8 +31,8 @@ from polhode.planning.keep_out.measured_body import (
     grown_body,
     thinned_vertices,
 )
+from polhode.planning.keep_out.queries import InstantKeepOut, KeepOut, SweptKeepOut
 from polhode.planning.keep_out.score_tail import ScoreTail
-from polhode.planning.keep_out.small_triangles import SmallTriangles
 from polhode.planning.prediction import (
     BodyMotion,
     Ensemble,
@@ -65,8 +64,6 @@ INSTANT_POINTS_CELLS = 4.0
 BORDER_CELLS = 4.0
 COARSE = 2.0
 """Edge of the cells on which c is chosen, over that of the others"""
-BEYOND_CELLS = 2.0
-"""Beyond this from the surface the grid decides about the side, the triangles about the distance."""
 MAX_CELLS = 20_000_000
 """Of a grid"""
 MEMBERS, CHOOSING = 600, 200
@@ -99,148 +96,6 @@ class KeepOutOptions:
             return self.members
         decades = max(0.0, -2.0 - float(np.log10(1.0 - self.confidence)))
         return round(min(MEMBERS * (1.0 + 0.75 * decades), MOST_MEMBERS))
-
-
-@dataclass(frozen=True)
-class SweptKeepOut:
-    """The volume over the whole horizon, in N."""
-
-    level: ScalarGrid
-    """negative inside, above 0 on the border; within two cells of the surface nearly the distance [m]"""
-    factor: float
-    """c: sigmas of the pose"""
-    added_m: float
-    """margin in addition, for the confidence"""
-    sigma_added_m: float
-    """by the number of members"""
-
-    @cached_property
-    def mesh(self) -> trimesh.Trimesh:
-        """Closed surface in N."""
-        return self.level.mesh()
-
-    @property
-    def volume_m3(self) -> float:
-        return float(abs(self.mesh.volume))
-
-    def signed_distance(self, p_N: Array) -> Array:
-        """Distance (n,) [m] of points (n, 3) in N from ``mesh``, negative inside; where the nearest triangle
-        is not certain, a lower bound. Raises InputError.
-        """
-        p_N = _points(p_N)
-        low, high = self._triangles.signed_distance(p_N)
-        # far from the surface the grid knows the side as well
-        least, most = np.sort(np.abs([low, high]), axis=0)
-        by_grid = np.where(self.level.at(p_N) <= 0.0, -most, least)
-        return np.where(least > BEYOND_CELLS * self.level.step_m, by_grid, low)
-
-    @cached_property
-    def _triangles(self) -> SmallTriangles:
-        return SmallTriangles(self.mesh)
-
-
-@dataclass(frozen=True)
-class InstantKeepOut:
-    """The volume at each instant, for a planner with a clock; the confidence is that of all instants."""
-
-    body: MeasuredBody
-    motion: BodyMotion
-    covariance: Array
-    """(T, 6, 6) of the pose, shift and turn along G"""
-    factor: float
-    added_m: float
-    others: tuple["InstantKeepOut", ...] = ()
-    """Of other hypotheses of the rotation, at the same instants: the volume is the union of all"""
-
-    @cached_property
-    def hypotheses(self) -> tuple["InstantKeepOut", ...]:
-        """This one and the others."""
-        return (replace(self, others=()), *self.others) if self.others else (self,)
-
-    def signed_distance(self, k: int, p_N: Array) -> Array:
-        """Distance (n,) [m] of points (n, 3) in N from the volume at the motion's instant k, negative inside.
-
-        Raises InputError for points of another shape, or an instant that there is not.
-        """
-        if not 0 <= k < len(self.motion.p_NG):
-            raise InputError(
-                f"instant {k}: give 0 to {len(self.motion.p_NG) - 1}, an index into motion.time_s"
-            )
-        if self.others:
-            distances = [each.signed_distance(k, p_N) for each in self.hypotheses]
-            return np.asarray(np.min(distances, axis=0))
-        p_G = (_points(p_N) - self.motion.p_NG[k]) @ self.motion.R_NG[k]
-        out, sigma, found, grid = np.empty(len(p_G)), np.empty(len(p_G)), np.empty(4), self.body.grid
-        for n, g in enumerate(p_G):
-            linear(grid.values, grid.origin, grid.step_m, g[0], g[1], g[2], found)
-            out[n], sigma[n] = found[0], sigma_along(self.covariance[k], g[0], g[1], g[2], found)
-        # the members were held against the grid, which tells little of places far outside
-        outside = np.flatnonzero(out > 0.0)
-        least, most = self._triangles.signed_distance(p_G[outside])
-        near = least <= BEYOND_CELLS * grid.step_m
-        out[outside] = np.where(near, np.minimum(out[outside], most), least)
-        out -= self.factor * sigma
-        return out - self.added_m
-
-    @cached_property
-    def _triangles(self) -> SmallTriangles:
-        return SmallTriangles(self.body.grid.mesh())
-
-    def margin_m(self) -> Array:
-        """(T,) the largest growth of the body for its pose, by the motion of this hypothesis."""
-        lever_m = np.linalg.norm(self.body.points_G, axis=1).max()
-        biggest = np.empty(len(self.covariance))
-        for k, P in enumerate(self.covariance):
-            # the largest eigenvalue of each point's covariance, bounded by parts
-            shift, turn = np.linalg.eigvalsh(P[:3, :3])[-1], np.linalg.eigvalsh(P[3:, 3:])[-1]
-            biggest[k] = np.sqrt(shift) + np.sqrt(turn) * lever_m
-        return np.asarray(self.factor * biggest + self.added_m)
-
-
-@dataclass(frozen=True, repr=False)
-class KeepOut:
-    """Both volumes and the body that they were made of."""
-
-    body: MeasuredBody
-    swept: SweptKeepOut
-    instant: InstantKeepOut
-
-    def united_with(self, others: list["KeepOut"]) -> "KeepOut":
-        """The same, by the motions of all of them, whose instants are the same."""
-        if not others:
-            return self
-        levels = [self.swept.level, *(each.swept.level for each in others)]
-        instant = replace(self.instant, others=tuple(each.instant for each in others))
-        return replace(self, swept=replace(self.swept, level=union_of(levels)), instant=instant)
-
-    def __repr__(self) -> str:
-        horizon_s = self.instant.motion.time_s[-1]
-        return f"KeepOut({self.swept.volume_m3:.4g} m^3 swept over {horizon_s:g} s)"
-
-
-def union_of(levels: list[ScalarGrid]) -> ScalarGrid:
-    """The level of the union of volumes, on a grid that contains all of them, with their coarsest step.
-
-    Half a step is added to them, which is more than interpolation on the new grid takes away.
-    """
-    step = max(each.step_m for each in levels)
-    low = np.min([each.origin for each in levels], axis=0) - 2.0 * step
-    high = np.max([each.origin + each.step_m * (np.array(each.values.shape) - 1) for each in levels], axis=0)
-    high += 2.0 * step
-    shape = tuple(np.ceil((high - low) / step).astype(int) + 1)
-    corners = ScalarGrid(low, step, np.zeros(shape, dtype=np.float32)).corners()
-    nearest = np.min([each.at(corners) for each in levels], axis=0)
-    return ScalarGrid(
-        low, step, np.minimum(nearest - 0.5 * step, 8.0 * step).astype(np.float32).reshape(shape)
-    )
-
-
-def _points(p_N: Array) -> Array:
-    """(n, 3) in N. Raises InputError for another shape."""
-    points = np.asarray(p_N, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"points of shape {points.shape}: give coordinates (n, 3) in N [m]")
-    return points
 
 
 def keep_out(
@@ -290,7 +145,7 @@ def _keep_out(
     instant = _instant(body, motion, covariance, halves, options)
     advance()
     swept = _swept(body, estimate, motion, covariance, halves, options, advance)
-    return KeepOut(body, swept, instant)
+    return KeepOut(body, swept, instant, (estimate,), options.confidence, options.drawn)
 
 
 def member_times(estimates: Sequence[FinalEstimate], horizon_s: float) -> Array:
@@ -434,8 +289,8 @@ def reaches_border(level: Floats) -> bool:
 
 
 def fine_times(motion: BodyMotion, radius: float, allowed_m: Array, horizon_s: float) -> Array:
-    """Instants from 0, between which no point moves by more than about ``allowed_m`` (T,) [m], of the motion's
-    instants.
+    """Instants from 0, between which no point moves by more than about ``allowed_m`` (T,) [m], which is given
+    at the motion's instants.
     """
     speed = np.linalg.norm(motion.v_N, axis=1) + radius * np.linalg.norm(motion.w_N, axis=1)
     time_s = np.concatenate([[0.0], motion.time_s])

@@ -1,0 +1,95 @@
+"""What outlines show and the mesh lacks, and what no frame excludes: against the body that was rendered."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from polhode.geometry.lie import Array
+from polhode.mapping import occupancy as module
+from polhode.mapping.occupancy import occupancy_of
+from polhode.mapping.visibility import FrameView, MeshViewer
+from polhode.records.occupancy import FREE, OUTLINED, POSSIBLE, Occupancy
+from polhode.records.surface import DepthMap
+from tests.mapping.rendered_views import RIG, rendered, tumbling
+
+BOX = trimesh.creation.box((0.06, 0.05, 0.04)).subdivide_to_size(0.004)
+BOOM = trimesh.creation.box((0.002, 0.002, 0.06))
+BOOM.apply_translation((0.02, 0.01, 0.05))
+WHOLE = trimesh.util.concatenate([BOX, BOOM])
+SUN_N = np.array([0.2, -0.3, -0.93])
+
+
+def views_of(mesh: trimesh.Trimesh, frames: int, sun_N: Array = SUN_N) -> list[FrameView]:
+    """Frames by the camera; the target's mask is what is lit."""
+    views = [rendered(mesh, X, sun_N, lambda p: 150 + 0 * p[:, 0], 0.02) for X in tumbling(frames)]
+    return [
+        FrameView(each.image, each.image > 0, each.X_RG, each.R_NR, lit_above=12.0, frame=n)
+        for n, each in enumerate(views)
+    ]
+
+
+def depth_of(mesh: trimesh.Trimesh, view: FrameView) -> DepthMap:
+    """What stereo measures of a mesh: nothing where it is dark."""
+    seen = MeshViewer(mesh).perspective(RIG, view.X_RG, np.arange(RIG.width_px), np.arange(RIG.height_px))
+    depth = np.where(view.silhouette, seen.depth_m, np.nan).astype(np.float32)
+    return DepthMap(depth, np.where(np.isfinite(depth), 5e-4, np.nan), view.image, view.silhouette)
+
+
+def found(mesh: trimesh.Trimesh, views: list[FrameView], sun_N: Array | None = SUN_N) -> Occupancy:
+    return occupancy_of(mesh, views, (depth_of(mesh, each) for each in views), RIG, sun_N)
+
+
+def states(occupied: Occupancy, places: Array) -> Array:
+    return np.asarray(occupied.states_at(np.asarray(places, dtype=np.float64)))
+
+
+def test_a_boom_that_stereo_missed_is_outlined_and_the_sky_around_it_is_free() -> None:
+    occupied = found(BOX, views_of(WHOLE, 20))
+    along = np.array([[0.02, 0.01, z] for z in np.linspace(0.035, 0.075, 9)])
+    assert (states(occupied, along) == OUTLINED).mean() > 0.8
+    beside = along + np.array([0.015, 0.0, 0.0])
+    assert (states(occupied, beside) == FREE).all()
+    outlined = occupied.centres(OUTLINED)
+    # about as far from the boom as the blur of an edge reaches
+    pixel_m = 0.5 / RIG.focal_px
+    away = np.linalg.norm((outlined - (0.02, 0.01, 0.05))[:, :2], axis=1)
+    assert np.median(away) < (module.BLUR_PX + 1.0) * pixel_m + 0.5 * occupied.step_m
+    assert occupied.step_m**3 * len(outlined) < 0.2 * BOX.volume
+    # the same again: nothing is drawn at random
+    np.testing.assert_array_equal(found(BOX, views_of(WHOLE, 20)).state, occupied.state)
+
+
+def test_a_side_that_is_never_lit_stays_possible_within_the_hull() -> None:
+    """The light is fixed to the body, as of one that always shows the Sun the same side."""
+    sun_G = np.array([0.0, 0.0, 1.0])
+    views = []
+    for n, X in enumerate(tumbling(20)):
+        # these axes of the camera in N keep the body at rest in N
+        seen = rendered(BOX, X, X[:3, :3] @ sun_G, lambda p: 150 + 0 * p[:, 0])
+        views.append(FrameView(seen.image, seen.image > 0, X, X[:3, :3].T, lit_above=12.0, frame=n))
+    lit = BOX.submesh([np.flatnonzero(BOX.face_normals[:, 2] > 0.5)], append=True)
+    walls = BOX.submesh([np.flatnonzero(np.abs(BOX.face_normals[:, 1]) > 0.5)], append=True)
+    surface = trimesh.util.concatenate([lit, walls])
+    dark = np.array([[x, y, -0.015] for x in (-0.02, 0.0, 0.02) for y in (-0.015, 0.0, 0.015)])
+    occupied = found(surface, views, sun_G)
+    assert (states(occupied, dark) == POSSIBLE).all()
+    assert (states(occupied, dark - np.array([0.0, 0.0, 0.03])) == FREE).all(), "beyond the hull"
+
+
+def test_frames_in_shadow_and_masks_that_failed_exclude_and_show_nothing() -> None:
+    views = views_of(WHOLE, 20)
+    whole = found(BOX, views)
+    dark, full = np.zeros_like(views[0].image), np.ones_like(views[0].silhouette)
+    eclipsed = [FrameView(dark, ~full, each.X_RG, each.R_NR) for each in views[:8]]
+    failed = [FrameView(views[0].image, full, each.X_RG, each.R_NR) for each in views[:2]]
+    more = occupancy_of(
+        BOX, [*views, *eclipsed, *failed],
+        [*(depth_of(BOX, each) for each in views), *(depth_of(BOX, each) for each in eclipsed),
+         *(depth_of(BOX, views[0].__class__(dark, ~full, each.X_RG, each.R_NR)) for each in failed)],
+        RIG, SUN_N,
+    )  # fmt: skip
+    assert more.step_m == pytest.approx(whole.step_m, rel=0.1)
+    differ = (more.state > 0) != (whole.state > 0)
+    assert differ.sum() < 0.02 * (whole.state > 0).sum() + 50
+    with pytest.raises(ValueError, match="no frames"):
+        occupancy_of(BOX, [], [], RIG, SUN_N)
