@@ -17,9 +17,9 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 class PlanCommand(Command):
     """What planners need from a run: keep-out volume, speeds of the surface, corridor, path of an approach.
 
-    Writes keepout.ply, .glb and .npz (N), surface_speed.ply (G), corridor.csv (N), planning.json, and plan.txt
-    (N): the camera's path from its last pose to the docking point, or else towards the target, for polhode
-    observability RUN --trajectory DIR/plan.txt --frame inertial.
+    Writes keepout.ply, .glb and .npz (N), surface_speed.ply (G), corridor.csv (N), planning.json, and
+    plan.txt (N): the camera's path from its last pose to the docking point, or else towards the target, for
+    polhode observability RUN --trajectory DIR/plan.txt --frame inertial.
     """
 
     run: Annotated[Path, Positional("RUN")]

@@ -12,10 +12,18 @@ from polhode.records.occupancy import FREE, OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import DepthMap
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
+
+def union(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """One mesh of several, which may overlap."""
+    joined = trimesh.util.concatenate(list(meshes))
+    assert isinstance(joined, trimesh.Trimesh)
+    return joined
+
+
 BOX = trimesh.creation.box((0.06, 0.05, 0.04)).subdivide_to_size(0.004)
 BOOM = trimesh.creation.box((0.002, 0.002, 0.06))
 BOOM.apply_translation((0.02, 0.01, 0.05))
-WHOLE = trimesh.util.concatenate([BOX, BOOM])
+WHOLE = union(BOX, BOOM)
 SUN_N = np.array([0.2, -0.3, -0.93])
 
 
@@ -69,7 +77,7 @@ def test_a_side_that_is_never_lit_stays_possible_within_the_hull() -> None:
         views.append(FrameView(seen.image, seen.image > 0, X, X[:3, :3].T, lit_above=12.0, frame=n))
     lit = BOX.submesh([np.flatnonzero(BOX.face_normals[:, 2] > 0.5)], append=True)
     walls = BOX.submesh([np.flatnonzero(np.abs(BOX.face_normals[:, 1]) > 0.5)], append=True)
-    surface = trimesh.util.concatenate([lit, walls])
+    surface = union(lit, walls)
     dark = np.array([[x, y, -0.015] for x in (-0.02, 0.0, 0.02) for y in (-0.015, 0.0, 0.015)])
     occupied = found(surface, views, sun_G)
     assert (states(occupied, dark) == POSSIBLE).all()

@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.geometry.lie import Array
+from polhode.geometry.lie import Array, hat
 from polhode.planning.keep_out.distance_fields import (
     outermost_pairs,
     protrusion,
@@ -250,25 +250,31 @@ def _swept(
     options: KeepOutOptions,
     advance: Advance,
 ) -> SweptKeepOut:
-    radius = body.radius_m
-    # of all members, and as far from the estimate as the largest factor grows it
-    centres = np.concatenate([half.p_NG + half.R_NG @ body.centre_G for half in halves])
-    middle = (motion.p_NG + motion.R_NG @ body.centre_G)[:, None]
-    bare = _Sweep(body, estimate, motion, P, np.zeros(3), np.zeros(3), 1.0, options.horizon_s)
-    far = (FACTORS[-1] * bare.spread_m + radius)[:, None, None]
-    low = np.minimum(centres.min(axis=(0, 1)) - radius, (middle - far).min(axis=(0, 1)))
-    high = np.maximum(centres.max(axis=(0, 1)) + radius, (middle + far).max(axis=(0, 1)))
-    step = float((high - low).max()) / options.cells
-    at = partial(_Sweep, body, estimate, motion, P, low, high, horizon_s=options.horizon_s)
-    coarse = at(step_m=COARSE * step)
-    origin, fields = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
-    scores = coarse.scores(origin, fields, halves[0])
-    allowed = [max(ScoreTail.of(each).bound(options.pose_miss), -coarse.step_m) for each in scores.T]
-    best = int(np.argmin([int((fields[..., c] <= allowed[c]).sum()) for c in range(len(FACTORS))]))
+    # members in the coarse grid, too, as far as the largest factor grows the body
+    centres = halves[0].p_NG + halves[0].R_NG @ body.centre_G
+    middle = motion.p_NG + motion.R_NG @ body.centre_G
+    tried = list[tuple[float, float, Array, float, float]]()
+    for turning in (P, _without_turn(P, estimate.com_G)):
+        sweep_of = partial(_Sweep, body, estimate, motion, turning, horizon_s=options.horizon_s)
+        spread_m = sweep_of(np.zeros(3), np.zeros(3), 1.0).spread_m
+        low, high = _box(middle, FACTORS[-1] * spread_m + body.radius_m, centres, body.radius_m)
+        coarse = sweep_of(low, high, COARSE * float((high - low).max()) / options.cells)
+        _, fields = found = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
+        scores = coarse.scores(*found, halves[0])
+        for n, factor in enumerate(FACTORS.tolist()):
+            allowed = max(ScoreTail.of(scores[:, n]).bound(options.pose_miss), -coarse.step_m)
+            volume_m3 = float((fields[..., n] <= allowed).sum()) * coarse.step_m**3
+            tried.append((volume_m3, factor, turning, allowed, max(allowed, float(scores[:, n].max()))))
     advance()
-    fine, more_m = at(step_m=step), max(1.5 * float(scores[:, best].max()), 0.0) + BORDER_CELLS * step
+    _, factor, turning, allowed, most = min(tried, key=lambda each: each[0])
+    sweep_of = partial(_Sweep, body, estimate, motion, turning, horizon_s=options.horizon_s)
+    grown_m = factor * sweep_of(np.zeros(3), np.zeros(3), 1.0).spread_m + body.radius_m
+    low, high = _box(middle, grown_m + max(allowed, 0.0), middle, body.radius_m)
+    step = float((high - low).max()) / options.cells
+    fine, more_m = sweep_of(low, high, step), max(1.5 * most, 0.0) + BORDER_CELLS * step
+    factors = np.array([factor])
     while True:
-        origin, fields = fine.fields(more_m, FACTORS[best : best + 1])
+        origin, fields = fine.fields(more_m, factors)
         beyond = fine.scores(origin, fields, halves[1])[:, 0]
         tail = ScoreTail.of(beyond)
         added = max(tail.bound(options.pose_miss), -step)
@@ -278,8 +284,29 @@ def _swept(
             # bounded values: finite slopes at the surface between far cells and near ones
             whole = ScalarGrid(origin, step, np.minimum(level, np.float32(8.0 * step)))
             advance()
-            return SweptKeepOut(whole, float(FACTORS[best]), added, tail.sigma(options.pose_miss))
+            return SweptKeepOut(whole, factor, added, tail.sigma(options.pose_miss))
         more_m = float(np.clip(1.1 * added, 2.0 * more_m, 4.0 * more_m))
+
+
+def _box(middle: Array, far_m: Array, others: Array, radius_m: float) -> tuple[Array, Array]:
+    """Corners (3,) of what spheres about middles (T, 3), and about others (..., 3), reach."""
+    low, high = middle - far_m[:, None], middle + far_m[:, None]
+    rest = others.reshape(-1, 3)
+    return (
+        np.minimum(low.min(axis=0), rest.min(axis=0) - radius_m),
+        np.maximum(high.max(axis=0), rest.max(axis=0) + radius_m),
+    )
+
+
+def _without_turn(P: Array, com_G: Array) -> Array:
+    """Covariances (T, 6, 6) of the centre of mass alone, as of poses whose rotation is known.
+
+    Errors of the phase hardly change what a turning body sweeps.
+    """
+    J = np.concatenate([np.eye(3), -hat(com_G)], axis=1)
+    out = np.zeros_like(P)
+    out[:, :3, :3] = J @ P @ J.T
+    return out
 
 
 def reaches_border(level: Floats) -> bool:

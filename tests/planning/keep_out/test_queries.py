@@ -120,15 +120,16 @@ def test_the_volume_of_an_instant_is_closed_and_holds_the_body_of_all_hypotheses
             assert found.contains(places, time_s).all() and mesh.contains(places[::7]).all()
 
 
-def test_its_files_are_read_by_fcl_drake_and_numpy(drifting: KeepOut, tmp_path: object) -> None:
+def test_its_files_are_read_by_trimesh_numpy_and_fcl(drifting: KeepOut) -> None:
     files = volume_files("keepout", drifting, drifting.swept.mesh)
-    mesh = trimesh.load(io.BytesIO(files["keepout.ply"]), file_type="ply")
+    mesh = trimesh.load_mesh(io.BytesIO(files["keepout.ply"]), file_type="ply")
+    assert isinstance(mesh, trimesh.Trimesh)
     assert mesh.is_watertight and set(np.unique(mesh.metadata["_ply_raw"]["vertex"]["data"]["reason"])) <= {
         0,
         1,
         2,
     }
-    scene = trimesh.load(io.BytesIO(files["keepout.glb"]), file_type="glb")
+    scene = trimesh.load_scene(io.BytesIO(files["keepout.glb"]), file_type="glb")
     assert next(iter(scene.geometry.values())).is_watertight
     with np.load(io.BytesIO(field_npz(drifting.swept.field()))) as field:
         origin, step, distance = field["origin_N"], float(field["step_m"]), field["distance_m"]

@@ -138,7 +138,7 @@ def test_an_open_mesh_is_kept_out_of_by_its_hull_and_says_so() -> None:
 
 
 def test_what_outlines_show_and_no_frame_excludes_is_in_it_and_told_apart() -> None:
-    """A boom beside a ball whose other half was never seen: each place of the surface knows why it is there."""
+    """A boom beside a ball whose other half was never seen: each place knows why it is there."""
     full = trimesh.creation.icosphere(4, 0.1)
     half = measured(full.submesh([np.flatnonzero(full.triangles_center[:, 2] > 0.0)], append=True))
     corner, step_m = np.full(3, -0.2), 0.01
