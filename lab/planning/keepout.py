@@ -1,22 +1,15 @@
-"""Does the keep-out volume hold its probability: Monte Carlo over the uncertainty of a run, or the true body.
+"""Does the keep-out volume hold its probability: Monte Carlo over the uncertainty of a run.
 
     python -m lab.planning.keepout RUN... [--horizon 60] [--draws 400]
-    python -m lab.planning.keepout RUN... --truth [--data SEQ...] [--horizon 60]
 
-Without ``--truth``: truths are sampled from the run's joint covariance, with disturbances of the level that
-it found, by other seeds than those that the volume was calibrated with; each point of the surface is off by
-its own sigma, as planning takes it, independently. A draw counts as inside when all of its surface stays
-inside at all instants. The volume is compared with the sweep of the estimate without any margin, of the
-measured surface and of what is covered (the hull of an open mesh); the smallest sufficient volume is at
-least the latter.
-
-With ``--truth``: points sampled on the true mesh of a simulated sequence move along the true motion after the
-last pair. The dataset of a run is data/NAME of its folder's name, unless given. Points that no frame saw in
-light are counted separately. One sequence is one draw: it shows errors of the surface and of the motion that
-the covariances do not contain, not a frequency.
+Truths are sampled from the run's joint covariance, with disturbances of the level that it found, by other
+seeds than those that the volume was calibrated with; each point of the surface is off by its own sigma, as
+planning takes it, independently. A draw counts as inside when all of its surface stays inside at all
+instants. The volume is compared with the sweep of the estimate without any margin, of the measured surface
+and of what is covered (the hull of an open mesh); the smallest sufficient volume is at least the latter.
+``lab.missions.keep_out`` takes true bodies of simulated missions instead.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +22,6 @@ from tyro.conf import arg
 from lab.command import Runs, command
 from lab.presentation import print_table
 from polhode.planning.keep_out.distance_fields import FAR, protrusion, sweep
-from polhode.planning.keep_out.keep_out_truth import keep_out_truth
 from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
 from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
 from polhode.planning.plan import final_estimate, surface_of
@@ -44,27 +36,17 @@ DRAWS = (
     "run | horizon [s] | confidence | draws inside, whole horizon | volume [l] | over the bare sweep of the "
     "surface | over the bare sweep of what is covered | covers"
 )
-TRUTH = (
-    "run | covers | true surface seen | seen, over the horizon | seen, at each instant | never seen, over "
-    "the horizon | never seen, at each instant | error of the mesh where points are outside"
-)
 
 
 def main(
     runs: Runs,
-    truth: Annotated[bool, arg(help="The true body of simulated sequences instead of draws.")] = False,
-    data: Annotated[tuple[Path, ...], arg(help="Sequences, one for each run, with --truth.")] = (),
     horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
     draws: Annotated[int, arg(help="Sampled truths.")] = 400,
     cells: Annotated[int, arg(help="Cells along the longest side of the volume.")] = 72,
 ) -> None:
     """Measure and print the table."""
     options = KeepOutOptions(horizon, 0.99, cells=cells)
-    if truth:
-        folders = data or [Path("data") / run.name for run in runs]
-        print_table(TRUTH, (truth_row(*each, options) for each in zip(runs, folders, strict=True)))
-    else:
-        print_table(DRAWS, (draws_row(run, options, draws) for run in runs))
+    print_table(DRAWS, (draws_row(run, options, draws) for run in runs))
 
 
 def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
@@ -115,22 +97,6 @@ def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
         *(f"{cells / float((each <= 0.0).sum()):.3f}" for each in (field, covered)),
         found.body.covers,
     ]
-
-
-def truth_row(run: Path, data: Path, options: KeepOutOptions) -> Iterator[object]:
-    """One run against its true body: shares inside, and how far the farthest point comes out."""
-    estimate, _ = final_estimate(run)
-    surface = surface_of(run)
-    found = keep_out(surface, estimate, options)
-    truth = keep_out_truth(found, surface, run, data)
-    yield from (run.name, found.body.covers, f"{truth.swept.seen.mean():.1%}")
-    for seen in (True, False):
-        for excess in (truth.swept, truth.instant):
-            points = excess.seen if seen else ~excess.seen
-            inside, farthest_m = excess.inside(points), excess.farthest_m(points)
-            yield "-" if inside is None or farthest_m is None else f"{inside:.2%}, {1e3 * farthest_m:.2f} mm"
-    least_m = truth.least_from_mesh_m
-    yield "-" if least_m is None else f"at least {1e3 * least_m:.1f} mm"
 
 
 if __name__ == "__main__":
