@@ -6,7 +6,7 @@ Truths are sampled from the run's joint covariance, with disturbances of the lev
 seeds than those that the volume was calibrated with; each point of the surface is off by its own sigma, as
 planning takes it, independently. A draw counts as inside when all of its surface stays inside at all
 instants. The volume is compared with the sweep of the estimate without any margin, of the measured surface
-and of what is covered (the hull of an open mesh); the smallest sufficient volume is at least the latter.
+and of all that is covered; the smallest sufficient volume is at least the latter.
 ``lab.missions.keep_out`` takes true bodies of simulated missions instead.
 """
 
@@ -21,12 +21,13 @@ from tyro.conf import arg
 
 from lab.command import Runs, command
 from lab.presentation import print_table
-from polhode.planning.keep_out.distance_fields import FAR, protrusion, sweep
+from polhode.planning.keep_out.distance_fields import FAR, outermost_pairs, protrusion, sweep
 from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
-from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
+from polhode.planning.keep_out.volumes import PARTS_OF_HORIZON, KeepOutOptions, fine_times, keep_out
 from polhode.planning.plan import final_estimate, surface_of
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records.surface import SurfaceModel
+from polhode.run_directory.archives import read_occupancy
 
 BARE_SIGMA_M = 1e-9
 """Of a surface without a margin."""
@@ -52,26 +53,28 @@ def main(
 def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
     """One run against truths that are drawn."""
     estimate, _ = final_estimate(run)
-    surface = surface_of(run)
-    found = keep_out(surface, estimate, options)
+    surface, occupied = surface_of(run), read_occupancy(run)
+    found = keep_out(surface, estimate, options, occupied)
     level, motion = found.swept.level, found.instant.motion
     # the sweep of the bare estimate
     bare = SurfaceModel(surface.mesh, np.full(len(surface.sigma_m), BARE_SIGMA_M), surface.views)
 
     def bare_sweep(cover: Cover) -> NDArray[np.float32]:
-        body = grown_body(bare, 0.5, cover=cover)
-        fine = fine_times(motion, body.radius_m, level.step_m, options.horizon_s)
+        body = grown_body(bare, 0.5, cover=cover, occupied=occupied)
+        step_m = np.full(len(motion.time_s), level.step_m)
+        fine = fine_times(motion, body.radius_m, step_m, options.horizon_s)
         states = nominal_motion(estimate, fine)
         field = np.full((*level.values.shape, 1), FAR, dtype=np.float32)
         sweep(
             field, level.origin, level.step_m, np.zeros(1), states.R_NG, states.p_NG,
-            np.zeros((len(fine), 6, 6)), np.zeros(len(fine)), body.grid.values, body.grid.origin,
-            body.grid.step_m, body.centre_G, body.radius_m,
+            np.zeros((len(fine), 6, 6)), body.grid.values, body.grid.origin, body.grid.step_m,
+            body.centre_G, body.radius_m,
         )  # fmt: skip
         return np.asarray(field[..., 0])
 
+    covers = found.body.covers
     field = bare_sweep("surface")
-    covered = bare_sweep("hull") if found.body.covers == "hull" else field
+    covered = bare_sweep(covers) if covers != "surface" else field
     cells = float((level.values <= 0.0).sum())
     # truths: poses by other seeds, every point of the surface off by its own sigma
     members = draw_ensemble(estimate, motion.time_s, draws, 1000)
@@ -81,7 +84,10 @@ def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
     index = cKDTree(V).query(kept)[1]
     sigma_m, rng = continuous_sigma(surface)[index], np.random.default_rng(2000)
     band_m = np.full(len(motion.time_s), 0.02 + level.step_m)
-    pairs = points_near_surface(field, level.origin, level.step_m, motion, kept, band_m)
+    pairs = outermost_pairs(
+        np.ascontiguousarray(field), level.origin, level.step_m, np.ascontiguousarray(motion.R_NG),
+        np.ascontiguousarray(motion.p_NG), kept, band_m, PARTS_OF_HORIZON,
+    )  # fmt: skip
     fields, inside = np.ascontiguousarray(level.values[..., None]), 0
     for n in range(draws):
         points = kept + (sigma_m * rng.normal(size=len(index)))[:, None] * N[index]
@@ -95,7 +101,7 @@ def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
         f"{inside} of {draws} ({inside / draws:.1%})",
         f"{1e3 * cells * level.step_m**3:.2f}",
         *(f"{cells / float((each <= 0.0).sum()):.3f}" for each in (field, covered)),
-        found.body.covers,
+        covers,
     ]
 
 
