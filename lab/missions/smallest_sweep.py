@@ -18,9 +18,10 @@ from scipy.ndimage import binary_closing, binary_erosion, binary_fill_holes, dis
 from polhode.geometry.lie import Array, Bools
 from polhode.geometry.rays import RayScene
 from polhode.mapping.visibility import directions
-from polhode.planning.keep_out.measured_body import sample_surface, thinned_vertices
+from polhode.planning.keep_out.measured_body import thinned_vertices
 from polhode.planning.keep_out.volumes import fine_times
 from polhode.planning.prediction import Ensemble, FinalEstimate, draw_ensemble, nominal_motion
+from polhode.records.mesh_metrics import sample_surface
 from polhode.runtime.compiled import compiled_ieee
 
 DRAWS, SEED = 400, 1000
@@ -29,6 +30,8 @@ SIDE_CELLS = 400
 """Cells along a side of the grid, at most"""
 COARSE, FINE = 0.7, 0.35
 """Distance of the body's points in cells: for the members, and for the estimated motion, which must close"""
+SAMPLES_EACH, LEAST_SAMPLES, MOST_SAMPLES = 6.0, 2_000, 600_000
+"""Of the surface for each point that is kept of it"""
 DIRECTIONS = 200
 """In which a point of the surface may be reached from outside"""
 OFF_SURFACE = 1e-4
@@ -63,7 +66,8 @@ def smallest_sweep_m3(
 
 def outer_surface(mesh: trimesh.Trimesh, spacing_m: float) -> Array:
     """Points (n, 3) of a mesh that are reached from outside, about ``spacing_m`` apart."""
-    points, _, _ = sample_surface(mesh, np.zeros(len(mesh.vertices)), spacing_m)
+    count = int(np.clip(SAMPLES_EACH * mesh.area / spacing_m**2, LEAST_SAMPLES, MOST_SAMPLES))
+    points, _ = sample_surface(mesh, count)
     few = thinned_vertices(trimesh.Trimesh(points, process=False), spacing_m)
     return few[is_outer(mesh, few)]
 
