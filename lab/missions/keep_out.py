@@ -41,7 +41,7 @@ LARGE = 2.5
 KINDS = ("family", "light")
 OUTSIDE = (
     "mission | kinds | hypotheses | seen part outside [mm] | of the size [%] | seen part at instants [mm] | "
-    "unseen part outside [mm] | ratio | from the run's mesh [mm]"
+    "unseen part outside [mm] | ratio | clearances too large | from the run's mesh [mm]"
 )
 SUMMARY = (
     "missions | number | volumes | whole inside | seen part inside | unseen part inside | "
@@ -147,7 +147,9 @@ def is_inside(line: Case, volume: str, part: str) -> bool:
 
 
 def print_single(lines: Sequence[Case]) -> None:
-    """A row for each mission whose seen part comes out of a volume, or whose volume is large."""
+    """A row for each mission whose seen part comes out of a volume, or whose volume is large; the last column
+    is the least distance from the run's mesh of what comes out at an instant: a part that the mesh lacks?
+    """
     chosen = [
         line
         for line in lines
@@ -169,6 +171,7 @@ def _single(line: Case) -> list[object]:
         _millimetres(line["instant"]["seen"]["farthest_m"]),
         _millimetres(swept["unseen"]["farthest_m"]),
         f"{line['ratio']:.2f}",
+        line["claims"]["wrong"],
         _millimetres(least_m),
     ]
 
