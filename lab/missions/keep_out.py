@@ -28,14 +28,13 @@ from lab.record import Case, complete, measured
 from lab.registry import SAMPLE_RUN
 from lab.short_forms import make_sample_run
 from polhode.planning.keep_out.volumes import KeepOutOptions
+from polhode.simulation.dataset.sequence import plan_sequence
 
 CONFIDENCE = 0.99
-SAMPLE_SIZE_M = 0.3
-"""Of the target of examples/sample, roughly"""
-TURN_DEG = (200.0, 320.0)
+TURN_DEG = (230.0, 330.0)
 """Between two pairs of an ambiguous mission"""
-OFF_SIGHT = 0.1
-"""How far its axis of rotation is from the line of sight [rad]: the same side stays in view"""
+OFF_SIGHT, NUTATION = 0.1, 0.02
+"""How far its principal axis is from the line of sight, and the spin from that axis [rad]"""
 LARGE = 2.5
 """A ratio of the volumes above which a mission has a row of its own"""
 KINDS = ("family", "light")
@@ -91,26 +90,36 @@ class Measure:
         place = self.folder / f"{draw}{'_ambiguous' if case['ambiguous'] else ''}" / f"{number:03d}"
         sequence, run = sequence_and_run(flown, place)
         options = KeepOutOptions(case["horizon_s"], CONFIDENCE)
-        return keep_out_judgement(run, sequence, flown.scene.body.size_m, options, number)
+        return keep_out_judgement(run, sequence, options, number)
 
 
 def measure_sample(case: Case) -> Case:
     """The row of the sample's run, for the short form; made unless it is there."""
     make_sample_run()
     options = KeepOutOptions(case["horizon_s"], CONFIDENCE, members=60, cells=24)
-    return keep_out_judgement(ROOT / SAMPLE_RUN, ROOT / "examples/sample", SAMPLE_SIZE_M, options, 0)
+    return keep_out_judgement(ROOT / SAMPLE_RUN, ROOT / "examples/sample", options, 0)
 
 
 def ambiguous_mission(number: int, draw: int) -> Mission:
-    """A mission with so fast a rotation about the line of sight that pairs leave its rate open."""
+    """A mission with so fast a rotation about the line of sight that pairs leave its rate open.
+
+    The axis of the greatest moment points along it, so that the same side stays in view.
+    """
     flown = mission(number, draw)
     rng = np.random.default_rng([draw, number, 0xA3B])
     scene, motion = flown.scene, flown.scene.motion
-    axis_N = np.array([0.0, 0.0, rng.choice([-1.0, 1.0])]) + OFF_SIGHT * rng.normal(size=3)
-    axis_G = Rotation.from_rotvec(np.deg2rad(motion.attitude_deg)).inv().apply(axis_N)
-    rpm = rng.uniform(*TURN_DEG) / 360.0 * 60.0 / scene.interval_s
-    spin_rpm = tuple((rpm * axis_G / np.linalg.norm(axis_G)).tolist())
-    turning = motion.model_copy(update={"spin_rpm": spin_rpm, "spin_axes": "geometric"})
+    axes = plan_sequence(scene, flown.seed).mass.R_GP
+    sight_N = np.array([0.0, 0.0, rng.choice([-1.0, 1.0])]) + OFF_SIGHT * rng.normal(size=3)
+    R_NG = Rotation.from_rotvec(np.deg2rad(motion.attitude_deg))
+    onto_sight, _ = Rotation.align_vectors(sight_N[None], R_NG.apply(axes[:, 0])[None])
+    rpm = rng.uniform(*TURN_DEG) / 6.0 / scene.interval_s
+    turning = motion.model_copy(
+        update={
+            "attitude_deg": tuple(np.rad2deg((onto_sight * R_NG).as_rotvec()).tolist()),
+            "spin_rpm": tuple((rpm * np.array([1.0, *NUTATION * rng.normal(size=2)])).tolist()),
+            "spin_axes": "principal",
+        }
+    )
     return replace(flown, motion="ambiguous", scene=scene.model_copy(update={"motion": turning}))
 
 

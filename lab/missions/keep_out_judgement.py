@@ -29,10 +29,8 @@ LEAST_WRONG_M = 1e-6
 """A claim that is farther above the truth than this is wrong: beyond the rounding of both"""
 
 
-def keep_out_judgement(
-    run: Path, sequence: Path, size_m: float, options: KeepOutOptions, seed: int
-) -> dict[str, Any]:
-    """A row of the record; size_m: of the target. A run without a volume says why under "none"."""
+def keep_out_judgement(run: Path, sequence: Path, options: KeepOutOptions, seed: int) -> dict[str, Any]:
+    """A row of the record; a run without a volume says why under "none". seed: of the claims."""
     start_s = process_time()
     try:
         found = keep_out_of_run(run, options)
@@ -50,7 +48,7 @@ def keep_out_judgement(
         "hypotheses": len(found.instant.hypotheses),
         "factor": found.swept.factor,
         "added_m": found.swept.added_m,
-        **_containment(found, run, sequence, mesh, body, size_m),
+        **_containment(found, run, sequence, mesh, body),
         **_surface(found.swept.mesh),
         "volume_m3": found.swept.volume_m3,
         "smallest_m3": smallest_m3,
@@ -61,11 +59,13 @@ def keep_out_judgement(
 
 
 def _containment(
-    found: KeepOut, run: Path, sequence: Path, mesh: trimesh.Trimesh, body: TrueBody, size_m: float
+    found: KeepOut, run: Path, sequence: Path, mesh: trimesh.Trimesh, body: TrueBody
 ) -> dict[str, Any]:
     """Under "swept" and "instant", for the points that some frame saw in light and for the others: their
-    number, the share that is inside, how far the farthest comes out; what the run's mesh lacks of the latter.
+    number, the share that is inside, how far the farthest comes out, also over the body's longest side; what
+    the run's mesh lacks of the latter.
     """
+    size_m = float(mesh.extents.max())
     truth = keep_out_truth.keep_out_truth(found, surface_of(run), run, sequence)
     outer = is_outer(mesh, body.p_G)
     every = keep_out_truth.POINTS // keep_out_truth.FEW_POINTS
