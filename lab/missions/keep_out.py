@@ -28,6 +28,7 @@ from lab.record import Case, complete, measured
 from lab.registry import SAMPLE_RUN
 from lab.short_forms import make_sample_run
 from polhode.planning.keep_out.volumes import KeepOutOptions
+from polhode.run_directory.summary import read_summary
 from polhode.simulation.dataset.sequence import plan_sequence
 
 CONFIDENCE = 0.99
@@ -89,6 +90,8 @@ class Measure:
         flown = ambiguous_mission(number, draw) if case["ambiguous"] else mission(number, draw)
         place = self.folder / f"{draw}{'_ambiguous' if case['ambiguous'] else ''}" / f"{number:03d}"
         sequence, run = sequence_and_run(flown, place)
+        if case["ambiguous"] and len(read_summary(run).hypotheses) < 2:
+            return {"none": "its rotation is not ambiguous"}
         options = KeepOutOptions(case["horizon_s"], CONFIDENCE)
         return keep_out_judgement(run, sequence, options, number)
 
