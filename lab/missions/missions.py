@@ -93,6 +93,14 @@ def fly(flown: Mission, folder: Path, settings: dict[str, Any] | None = None) ->
 
     settings: beside those of the default configuration.
     """
+    sequence, out = sequence_and_run(flown, folder, settings)
+    return judgement(out, sequence, flown.scene.body.size_m)
+
+
+def sequence_and_run(
+    flown: Mission, folder: Path, settings: dict[str, Any] | None = None
+) -> tuple[Path, Path]:
+    """Folders of a mission in ``folder``, made unless they are there; settings as ``fly`` takes them."""
     sequence, out = folder / "sequence", folder / "run"
     if not (sequence / "mav0").is_dir():
         write_sequence(plan_sequence(flown.scene, flown.seed), sequence, Silent())
@@ -100,7 +108,7 @@ def fly(flown: Mission, folder: Path, settings: dict[str, Any] | None = None) ->
         # summary.json says why it failed
         with suppress(RunFailure):
             run(load_config(None, PICTURES | (settings or {})), sequence, out, Silent())
-    return judgement(out, sequence, flown.scene.body.size_m)
+    return sequence, out
 
 
 def print_outcomes(lines: Sequence[Case]) -> None:

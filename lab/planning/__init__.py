@@ -1,1 +1,1 @@
-"""The keep-out volume over independent draws, and against the true body: keepout."""
+"""The keep-out volume over independent draws: keepout."""

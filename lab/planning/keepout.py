@@ -1,22 +1,15 @@
-"""Does the keep-out volume hold its probability: Monte Carlo over the uncertainty of a run, or the true body.
+"""Does the keep-out volume hold its probability: Monte Carlo over the uncertainty of a run.
 
     python -m lab.planning.keepout RUN... [--horizon 60] [--draws 400]
-    python -m lab.planning.keepout RUN... --truth [--data SEQ...] [--horizon 60]
 
-Without ``--truth``: truths are sampled from the run's joint covariance, with disturbances of the level that
-it found, by other seeds than those that the volume was calibrated with; each point of the surface is off by
-its own sigma, as planning takes it, independently. A draw counts as inside when all of its surface stays
-inside at all instants. The volume is compared with the sweep of the estimate without any margin, of the
-measured surface and of what is covered (the hull of an open mesh); the smallest sufficient volume is at
-least the latter.
-
-With ``--truth``: points sampled on the true mesh of a simulated sequence move along the true motion after the
-last pair. The dataset of a run is data/NAME of its folder's name, unless given. Points that no frame saw in
-light are counted separately. One sequence is one draw: it shows errors of the surface and of the motion that
-the covariances do not contain, not a frequency.
+Truths are sampled from the run's joint covariance, with disturbances of the level that it found, by other
+seeds than those that the volume was calibrated with; each point of the surface is off by its own sigma, as
+planning takes it, independently. A draw counts as inside when all of its surface stays inside at all
+instants. The volume is compared with the sweep of the estimate without any margin, of the measured surface
+and of all that is covered; the smallest sufficient volume is at least the latter.
+``lab.missions.keep_out`` takes true bodies of simulated missions instead.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -28,13 +21,13 @@ from tyro.conf import arg
 
 from lab.command import Runs, command
 from lab.presentation import print_table
-from polhode.planning.keep_out.distance_fields import FAR, protrusion, sweep
-from polhode.planning.keep_out.keep_out_truth import keep_out_truth
+from polhode.planning.keep_out.distance_fields import FAR, outermost_pairs, protrusion, sweep
 from polhode.planning.keep_out.measured_body import Cover, continuous_sigma, grown_body, thinned_vertices
-from polhode.planning.keep_out.volumes import KeepOutOptions, fine_times, keep_out, points_near_surface
+from polhode.planning.keep_out.volumes import PARTS_OF_HORIZON, KeepOutOptions, fine_times, keep_out
 from polhode.planning.plan import final_estimate, surface_of
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records.surface import SurfaceModel
+from polhode.run_directory.archives import read_occupancy
 
 BARE_SIGMA_M = 1e-9
 """Of a surface without a margin."""
@@ -44,52 +37,44 @@ DRAWS = (
     "run | horizon [s] | confidence | draws inside, whole horizon | volume [l] | over the bare sweep of the "
     "surface | over the bare sweep of what is covered | covers"
 )
-TRUTH = (
-    "run | covers | true surface seen | seen, over the horizon | seen, at each instant | never seen, over "
-    "the horizon | never seen, at each instant | error of the mesh where points are outside"
-)
 
 
 def main(
     runs: Runs,
-    truth: Annotated[bool, arg(help="The true body of simulated sequences instead of draws.")] = False,
-    data: Annotated[tuple[Path, ...], arg(help="Sequences, one for each run, with --truth.")] = (),
     horizon: Annotated[float, arg(help="Seconds ahead.")] = 60.0,
     draws: Annotated[int, arg(help="Sampled truths.")] = 400,
     cells: Annotated[int, arg(help="Cells along the longest side of the volume.")] = 72,
 ) -> None:
     """Measure and print the table."""
     options = KeepOutOptions(horizon, 0.99, cells=cells)
-    if truth:
-        folders = data or [Path("data") / run.name for run in runs]
-        print_table(TRUTH, (truth_row(*each, options) for each in zip(runs, folders, strict=True)))
-    else:
-        print_table(DRAWS, (draws_row(run, options, draws) for run in runs))
+    print_table(DRAWS, (draws_row(run, options, draws) for run in runs))
 
 
 def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
     """One run against truths that are drawn."""
     estimate, _ = final_estimate(run)
-    surface = surface_of(run)
-    found = keep_out(surface, estimate, options)
+    surface, occupied = surface_of(run), read_occupancy(run)
+    found = keep_out(surface, estimate, options, occupied)
     level, motion = found.swept.level, found.instant.motion
     # the sweep of the bare estimate
     bare = SurfaceModel(surface.mesh, np.full(len(surface.sigma_m), BARE_SIGMA_M), surface.views)
 
     def bare_sweep(cover: Cover) -> NDArray[np.float32]:
-        body = grown_body(bare, 0.5, cover=cover)
-        fine = fine_times(motion, body.radius_m, level.step_m, options.horizon_s)
+        body = grown_body(bare, 0.5, cover=cover, occupied=occupied)
+        step_m = np.full(len(motion.time_s), level.step_m)
+        fine = fine_times(motion, body.radius_m, step_m, options.horizon_s)
         states = nominal_motion(estimate, fine)
         field = np.full((*level.values.shape, 1), FAR, dtype=np.float32)
         sweep(
             field, level.origin, level.step_m, np.zeros(1), states.R_NG, states.p_NG,
-            np.zeros((len(fine), 6, 6)), np.zeros(len(fine)), body.grid.values, body.grid.origin,
-            body.grid.step_m, body.centre_G, body.radius_m,
+            np.zeros((len(fine), 6, 6)), body.grid.values, body.grid.origin, body.grid.step_m,
+            body.centre_G, body.radius_m,
         )  # fmt: skip
         return np.asarray(field[..., 0])
 
+    covers = found.body.covers
     field = bare_sweep("surface")
-    covered = bare_sweep("hull") if found.body.covers == "hull" else field
+    covered = bare_sweep(covers) if covers != "surface" else field
     cells = float((level.values <= 0.0).sum())
     # truths: poses by other seeds, every point of the surface off by its own sigma
     members = draw_ensemble(estimate, motion.time_s, draws, 1000)
@@ -99,7 +84,10 @@ def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
     index = cKDTree(V).query(kept)[1]
     sigma_m, rng = continuous_sigma(surface)[index], np.random.default_rng(2000)
     band_m = np.full(len(motion.time_s), 0.02 + level.step_m)
-    pairs = points_near_surface(field, level.origin, level.step_m, motion, kept, band_m)
+    pairs = outermost_pairs(
+        np.ascontiguousarray(field), level.origin, level.step_m, np.ascontiguousarray(motion.R_NG),
+        np.ascontiguousarray(motion.p_NG), kept, band_m, PARTS_OF_HORIZON,
+    )  # fmt: skip
     fields, inside = np.ascontiguousarray(level.values[..., None]), 0
     for n in range(draws):
         points = kept + (sigma_m * rng.normal(size=len(index)))[:, None] * N[index]
@@ -113,24 +101,8 @@ def draws_row(run: Path, options: KeepOutOptions, draws: int) -> list[object]:
         f"{inside} of {draws} ({inside / draws:.1%})",
         f"{1e3 * cells * level.step_m**3:.2f}",
         *(f"{cells / float((each <= 0.0).sum()):.3f}" for each in (field, covered)),
-        found.body.covers,
+        covers,
     ]
-
-
-def truth_row(run: Path, data: Path, options: KeepOutOptions) -> Iterator[object]:
-    """One run against its true body: shares inside, and how far the farthest point comes out."""
-    estimate, _ = final_estimate(run)
-    surface = surface_of(run)
-    found = keep_out(surface, estimate, options)
-    truth = keep_out_truth(found, surface, run, data)
-    yield from (run.name, found.body.covers, f"{truth.swept.seen.mean():.1%}")
-    for seen in (True, False):
-        for excess in (truth.swept, truth.instant):
-            points = excess.seen if seen else ~excess.seen
-            inside, farthest_m = excess.inside(points), excess.farthest_m(points)
-            yield "-" if inside is None or farthest_m is None else f"{inside:.2%}, {1e3 * farthest_m:.2f} mm"
-    least_m = truth.least_from_mesh_m
-    yield "-" if least_m is None else f"at least {1e3 * least_m:.1f} mm"
 
 
 if __name__ == "__main__":
