@@ -42,6 +42,8 @@ STATES: dict[Covered, tuple[int, ...]] = {
 OPEN_SHARE = 0.01
 """Without an occupancy a mesh whose open boundaries span more than this share of its area is replaced by its
 hull."""
+MOST_GROWTH = 2.5
+"""Of the grid by the margins, over the size of the body, without larger cells"""
 HALF_DIAGONAL = 0.5 * 3.0**0.5
 """Of a cell, over its edge"""
 CHUNK = 500
@@ -149,8 +151,10 @@ def grown_body(
         centres, radius_m = occupied.centres(*STATES[covers]), HALF_DIAGONAL * occupied.step_m
     ends = np.concatenate([np.asarray(mesh.vertices), centres])
     low, high = ends.min(axis=0), ends.max(axis=0)
-    step = float((high - low).max()) / cells
-    border = max(float(margin.max()), radius_m) + 4.0 * step
+    most_m, size_m = max(float(margin.max()), radius_m), float((high - low).max())
+    # a surface that is hardly known is coarser
+    step = max(size_m, (size_m + 2.0 * most_m) / MOST_GROWTH) / cells
+    border = most_m + 4.0 * step
     shape = tuple(np.ceil((high - low + 2.0 * border) / step).astype(int) + 1)
     empty = ScalarGrid(low - border, step, np.zeros(shape, dtype=np.float32))
     q, normal, m = sample_surface(mesh, margin, 0.5 * step)

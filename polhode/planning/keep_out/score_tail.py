@@ -66,7 +66,7 @@ class ScoreTail:
         n = len(self.scores)
         if level <= self.threshold:
             return (n - int(np.searchsorted(self.scores, level, side="right")) + 0.5) / (n + 1.0)
-        return self.share * float((self.weight * self._survival(level - self.threshold)).sum())
+        return self._beyond(level - self.threshold)
 
     def bound(self, miss: float) -> float:
         """The level that a further score exceeds with the probability ``miss``."""
@@ -76,11 +76,9 @@ class ScoreTail:
         if miss >= self.share:
             return self.threshold
         high = float(self.scale[-1])
-        while self.exceeded(self.threshold + high) > miss:
+        while self._beyond(high) > miss:
             high *= 2.0
-        return float(
-            brentq(lambda x: self.exceeded(x) - miss, self.threshold, self.threshold + high, xtol=1e-6 * high)
-        )
+        return self.threshold + float(brentq(lambda x: self._beyond(x) - miss, 0.0, high, xtol=1e-6 * high))
 
     def sigma(self, miss: float) -> float:
         """Standard deviation of the level that is truly exceeded with the probability ``miss``."""
@@ -96,7 +94,8 @@ class ScoreTail:
         mean = float((self.weight * level).sum())
         return float(np.sqrt((self.weight * (level - mean) ** 2).sum()))
 
-    def _survival(self, excess: float) -> Array:
-        """(shapes, scales) share beyond an excess over the threshold."""
+    def _beyond(self, excess: float) -> float:
+        """The probability that a further score exceeds the threshold by more than this."""
         xi = np.where(np.abs(SHAPES) < 1e-9, 1e-9, SHAPES)[:, None]
-        return np.asarray(np.maximum(1.0 + xi * excess / self.scale, 0.0) ** (-1.0 / xi))
+        survival = np.maximum(1.0 + xi * excess / self.scale, 0.0) ** (-1.0 / xi)
+        return self.share * float((self.weight * survival).sum())
