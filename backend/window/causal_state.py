@@ -101,8 +101,18 @@ def body_state(
     covariance = with_constants(body_jacobians(at)[0], np.asarray(np.linalg.inv(information.joint)))
     R_NG, J_jacobian = at.R_NG[0], inertia_derivative(form, at.xi, at.R_inertia)
     return BodyState(
-        *(at.p_NG[0] + R_NG @ at.com_G, at.v_N[0].copy(), R_NG.copy(), at.w_G[0].copy(), at.com_G.copy()),
-        *(at.J_G(form), J_jacobian, 0.5 * (covariance + covariance.T), *levels, *past),
+        r_N=at.p_NG[0] + R_NG @ at.com_G,
+        v_N=at.v_N[0].copy(),
+        R_NG=R_NG.copy(),
+        w_G=at.w_G[0].copy(),
+        com_G=at.com_G.copy(),
+        J_G=at.J_G(form),
+        J_jacobian=J_jacobian,
+        covariance=0.5 * (covariance + covariance.T),
+        accel_psd=levels[0],
+        torque_psd=levels[1],
+        past_s=past[0],
+        past_R_NG=past[1],
     )
 
 

@@ -145,7 +145,7 @@ class SlidingWindow:
         past_s = np.array([frame.time_s - now.time_s for frame in reversed(before)])
         past_R_NG = np.array([frame.R_NG for frame in reversed(before)]).reshape(-1, 3, 3)
         at = iterate_of_frame(now, active.constants, state.R_inertia)
-        return body_state(at, state.prior.form, state.last, tuple(state.disturbances), (past_s, past_R_NG))
+        return body_state(at, state.prior.form, state.last, state.disturbances, (past_s, past_R_NG))
 
     def predict(self, timestamp_ns: int) -> Array | None:
         """X_NG (4, 4) at a time after the latest frame, by the dynamics; None: the motion is unknown."""
