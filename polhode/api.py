@@ -25,7 +25,7 @@ from polhode.pipeline.run import run as run_pipeline
 from polhode.planning.approach.surface_speed import velocity, velocity_covariance
 from polhode.planning.edges.edge_model import CREASE_DEG
 from polhode.planning.exports.export_run import export_run
-from polhode.planning.exports.formats import FORMATS, Format
+from polhode.planning.exports.formats import Format
 from polhode.planning.exports.options import ExportOptions, FrameName, Poses, Unit
 from polhode.planning.keep_out.measured_body import Cover
 from polhode.planning.keep_out.queries import KeepOut
@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 EXPORT_OPTIONS = tuple(each.name for each in fields(ExportOptions) if each.name not in ("to", "output"))
-EXPORT_WORDS = {word: word for word in (*FORMATS, *get_args(FrameName), *get_args(Unit), *get_args(Poses))}
+EXPORT_WORDS = {word: word for each in (Format, FrameName, Unit, Poses, Cover) for word in get_args(each)}
 """What ``Run.export`` passes on, and the texts among their values"""
 
 NO_ESTIMATE = "this run failed before it had an estimate"

@@ -148,6 +148,40 @@ def online_with_systematic(
     X_NR (F, 4, 4): poses of the rectified left camera. A row depends on itself, the one before
     and the first known one only.
     """
+    spread, in_G = _online_spread(online, rig, X_NR, shared, calibration)
+    return replace(
+        online,
+        covariance=_inflated_each(online.covariance, spread),
+        cov_com_G=np.stack([_inflated(c, in_G) for c in online.cov_com_G]),
+    )
+
+
+def body_with_systematic(
+    covariance: Array,
+    online: OnlineEstimate,
+    rig: RectifiedRig,
+    X_NR: Array,
+    shared: SharedErrors,
+    calibration: CalibrationEffects | None = None,
+) -> Array:
+    """Covariance (20, 20) of the body itself at the last row of the causal estimate, with the same errors."""
+    spread, in_G = _online_spread(online, rig, X_NR, shared, calibration)
+    joint = np.zeros((20, in_G.shape[1]))
+    joint[: spread.shape[1]], joint[17:] = spread[-1], in_G
+    # attitude and rate along G
+    for rows in (slice(6, 9), slice(9, 12)):
+        joint[rows] = online.R_GP[-1] @ joint[rows]
+    return _inflated(covariance, joint)
+
+
+def _online_spread(
+    online: OnlineEstimate,
+    rig: RectifiedRig,
+    X_NR: Array,
+    shared: SharedErrors,
+    calibration: CalibrationEffects | None,
+) -> tuple[Array, Array]:
+    """Errors of the states (F, 3 or 12, n), and of the centre of mass in G (3, n)."""
     spread = position_spread(rig, X_NR, online.r_N, shared)
     known = np.isfinite(np.diagonal(online.covariance, axis1=1, axis2=2)).any(axis=1)
     first = int(np.argmax(known))
@@ -156,12 +190,7 @@ def online_with_systematic(
         wide = np.zeros((len(spread), 12, spread.shape[2] + more.shape[2]))
         wide[:, :3, : spread.shape[2]], wide[:, :, spread.shape[2] :] = spread, more
         spread = wide
-    in_G = online.X_NG[first, :3, :3].T @ spread[first, :3]
-    return replace(
-        online,
-        covariance=_inflated_each(online.covariance, spread),
-        cov_com_G=np.stack([_inflated(c, in_G) for c in online.cov_com_G]),
-    )
+    return spread, online.X_NG[first, :3, :3].T @ spread[first, :3]
 
 
 def _inflated_each(covariances: Array, spreads: Array) -> Array:

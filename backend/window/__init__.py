@@ -12,10 +12,11 @@
 - ``problem``: the nonlinear program of one update, its quadratic parts, Gauss-Newton and IPOPT on it.
 """
 
-from polhode.backend.window.causal_state import OnlineState
+from polhode.backend.window.causal_state import BodyState, OnlineState
 from polhode.backend.window.estimator import (
     SlidingWindow,
     align_online_estimate,
+    body_estimate,
     estimate_online,
     online_estimate,
     stack_states,
@@ -26,11 +27,13 @@ from polhode.backend.window.estimator import (
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
 
 __all__ = [
+    "BodyState",
     "CameraNoise",
     "FrameMeasurements",
     "OnlineState",
     "SlidingWindow",
     "align_online_estimate",
+    "body_estimate",
     "camera_noise_of",
     "estimate_online",
     "frames_of",

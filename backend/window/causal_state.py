@@ -5,9 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky
 
-from polhode.backend.problem.inertia import InertiaForm
+from polhode.backend.problem.inertia import InertiaForm, inertia_derivative
 from polhode.backend.problem.iterate import COM, N_CONSTANTS, N_STATE, POSITION, RATE, VELOCITY, XI, Iterate
-from polhode.backend.uncertainty.covariance import state_jacobians, with_infinite
+from polhode.backend.uncertainty.covariance import (
+    body_jacobians,
+    state_jacobians,
+    with_constants,
+    with_infinite,
+)
 from polhode.backend.uncertainty.identifiability import analyse, undetermined_states
 from polhode.backend.uncertainty.principal_axes import axes_derivative, free_axis_covariance
 from polhode.backend.window.frame import Frame
@@ -59,6 +64,56 @@ class LastInformation:
     joint: Array
     weak_prior: Array
     """(8, 8) part of it that is the weak prior on com_G and xi"""
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """The body itself at the latest frame: nothing is expressed in the principal axes, all is finite."""
+
+    r_N: Array
+    v_N: Array
+    R_NG: Array
+    w_G: Array
+    com_G: Array
+    J_G: Array
+    """(3, 3) in the scale of the parameters"""
+    J_jacobian: Array
+    """(5, 3, 3) derivative of J_G by the five parameters"""
+    covariance: Array
+    """(20, 20): r_N, v_N, theta in R_NG Exp(theta), w_G, the five parameters, com_G"""
+    accel_psd: float
+    torque_psd: float
+    """Levels of the disturbances by which the window weights the dynamics"""
+    past_s: Array
+    """(H,) instants < 0 of the other frames that are kept, descending"""
+    past_R_NG: Array
+    """(H, 3, 3) attitudes there"""
+
+
+def body_state(
+    at: Iterate,
+    form: InertiaForm,
+    information: LastInformation,
+    levels: tuple[float, float],
+    past: tuple[Array, Array],
+) -> BodyState:
+    """The last state (``iterate_of_frame``) jointly with the constants; levels and past as above."""
+    covariance = with_constants(body_jacobians(at)[0], np.asarray(np.linalg.inv(information.joint)))
+    R_NG, J_jacobian = at.R_NG[0], inertia_derivative(form, at.xi, at.R_inertia)
+    return BodyState(
+        r_N=at.p_NG[0] + R_NG @ at.com_G,
+        v_N=at.v_N[0].copy(),
+        R_NG=R_NG.copy(),
+        w_G=at.w_G[0].copy(),
+        com_G=at.com_G.copy(),
+        J_G=at.J_G(form),
+        J_jacobian=J_jacobian,
+        covariance=0.5 * (covariance + covariance.T),
+        accel_psd=levels[0],
+        torque_psd=levels[1],
+        past_s=past[0],
+        past_R_NG=past[1],
+    )
 
 
 def last_information(H: Array, weak_prior: Array) -> LastInformation:

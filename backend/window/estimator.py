@@ -8,7 +8,11 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.spatial.transform import Rotation
 
-from polhode.backend.outliers_and_noise.systematic import SharedErrors, online_with_systematic
+from polhode.backend.outliers_and_noise.systematic import (
+    SharedErrors,
+    body_with_systematic,
+    online_with_systematic,
+)
 from polhode.backend.problem.iterate import COM, POSITION, RATE
 from polhode.backend.uncertainty.covariance import with_infinite
 from polhode.backend.window.add_frame import (
@@ -18,7 +22,14 @@ from polhode.backend.window.add_frame import (
     next_frame,
     pose_in_map,
 )
-from polhode.backend.window.causal_state import OnlineState, iterate_of_frame, online_state, unknown_state
+from polhode.backend.window.causal_state import (
+    BodyState,
+    OnlineState,
+    body_state,
+    iterate_of_frame,
+    online_state,
+    unknown_state,
+)
 from polhode.backend.window.estimator_state import EstimatorState, initial_estimator_state, shrink_window
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements, camera_noise_of, frames_of
 from polhode.backend.window.frame_of_reference import FrameOfReference
@@ -124,6 +135,17 @@ class SlidingWindow:
             return float("inf")
         along = recent[-1].x[RATE] / rate
         return float(np.sqrt(along @ np.linalg.inv(last.joint)[RATE, RATE] @ along))
+
+    def body_state(self) -> BodyState | None:
+        """The body itself at the latest frame; None: no motion is known."""
+        state, active = self.state, self.state.active
+        if state.last is None or not active.recent or active.recent[-1].number != self._number:
+            return None
+        *before, now = active.frames
+        past_s = np.array([frame.time_s - now.time_s for frame in reversed(before)])
+        past_R_NG = np.array([frame.R_NG for frame in reversed(before)]).reshape(-1, 3, 3)
+        at = iterate_of_frame(now, active.constants, state.R_inertia)
+        return body_state(at, state.prior.form, state.last, state.disturbances, (past_s, past_R_NG))
 
     def predict(self, timestamp_ns: int) -> Array | None:
         """X_NG (4, 4) at a time after the latest frame, by the dynamics; None: the motion is unknown."""
@@ -299,9 +321,29 @@ def online_estimate(
 
     A row depends on its state, the one before and the first one of which something is known only.
     """
+    return online_with_systematic(stack_states(states), rig, X_NR, _shared_errors(config), calibration)
+
+
+def body_estimate(
+    body: BodyState,
+    states: list[OnlineState],
+    rig: RectifiedRig,
+    X_NR: Array,
+    config: Backend,
+    calibration: CalibrationEffects | None = None,
+) -> BodyState:
+    """The body itself with the errors that all landmarks share; the rest as for ``online_estimate``, whose
+    last row is of the same frame.
+    """
+    online, shared = stack_states(states), _shared_errors(config)
+    return replace(
+        body, covariance=body_with_systematic(body.covariance, online, rig, X_NR, shared, calibration)
+    )
+
+
+def _shared_errors(config: Backend) -> SharedErrors:
     light_px = config.light_px if config.correlated_errors == "slide" else 0.0
-    shared = SharedErrors(config.systematic_px, light_px)
-    return online_with_systematic(stack_states(states), rig, X_NR, shared, calibration)
+    return SharedErrors(config.systematic_px, light_px)
 
 
 def without_claims_after_torques(online: OnlineEstimate, wrench: Wrench) -> OnlineEstimate:

@@ -38,6 +38,10 @@ class ExportCommand(Command):
     pieces: Annotated[int, Named("N")] = 512
     """Maximum number of convex pieces of the collision geometry; 1: the convex hull. Fewer pieces protrude
     more from the surface."""
+    cover: Annotated[str, Named("auto|possible|outlines|surface|hull")] = "auto"
+    """What the collision geometry contains. surface: the mesh; outlines: also what the outlines of several
+    frames show; possible: also what no frame excludes; hull: the convex hull of what outlines show. auto:
+    possible, or, in a run of an earlier version, surface."""
     poses: Annotated[str, Named("predicted|estimated")] = "predicted"
     """tum: the poses predicted from the last stereo pair on, or those that the run estimated at its pairs."""
     horizon_s: Annotated[float, Named("S", "--horizon")] = 60.0

@@ -122,7 +122,7 @@ def plan_run(
     """
     estimates, summary = final_estimates(run), read_summary(run)
     estimate = estimates[0]
-    _require_options(options, estimate)
+    require_options(options, estimate)
     left_out: dict[str, str] = {}
     notes = [*summary.warnings[:1]] if summary.status == "failed" else []
     if hidden := undetermined_names(summary):
@@ -196,11 +196,12 @@ def plan_run(
 def keep_out_of_run(run: Path, options: KeepOutOptions, progress: Progress | None = None) -> KeepOut:
     """The keep-out volume alone. Raises InputError: no estimate, no mesh, or options that do not fit."""
     estimates = final_estimates(run)
-    _require_options(options, estimates[0])
+    require_options(options, estimates[0])
     return _keep_out(run, surface_of(run), estimates, options, progress)
 
 
-def _require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
+def require_options(options: KeepOutOptions, estimate: FinalEstimate) -> None:
+    """Raise InputError for options of a keep-out volume that do not fit."""
     if not 0.5 <= options.confidence <= MOST_CONFIDENT:
         raise InputError(f"--confidence {options.confidence:g}: give a share from 0.5 to {MOST_CONFIDENT:g}")
     if options.drawn < LEAST_MEMBERS:

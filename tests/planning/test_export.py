@@ -11,14 +11,18 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 from trimesh.visual import ColorVisuals
 
 import polhode
 from polhode.cli.main import main
-from polhode.geometry.lie import log_so3, make_pose, matrix_from_wxyz
+from polhode.geometry.lie import Array, log_so3, make_pose, matrix_from_wxyz
 from polhode.mapping.mesh_files import read_ply, write_ply
+from polhode.planning.exports import convex_pieces
 from polhode.planning.exports.json_document import SCHEMA_FILE, Document
 from polhode.planning.exports.options import FrameName
+from polhode.records.occupancy import FREE, OUTLINED, POSSIBLE, Occupancy
+from polhode.run_directory.archives import write_occupancy
 from polhode.run_directory.summary import build_summary, read_summary, write_summary
 from polhode.run_directory.summary_schema import Intervals, json_schema
 from polhode.runtime.errors import InputError
@@ -117,6 +121,64 @@ def test_meshes_open_at_the_right_place_and_scale(run: Path, example: Example, t
                 assert len(found) > 50
     ply = trimesh.load(tmp_path / "P.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
     np.testing.assert_allclose(ply["sigma_mm"].reshape(-1), 0.8, rtol=1e-6)
+
+
+def test_the_pieces_contain_what_is_known_to_be_beside_the_mesh(
+    example: Example, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """A boom that outlines show and a corner that no frame excludes: each is covered where asked for."""
+    pytest.importorskip("vhacdx")
+    monkeypatch.setattr(convex_pieces, "VOXELS", 50_000)
+    folder = stored(tmp_path / "boom", example, example.surface)
+    corner, step_m = np.full(3, -0.25), 0.01
+    centres = np.stack(np.meshgrid(*[corner[0] + step_m * np.arange(51)] * 3, indexing="ij"), -1)
+    boom = (np.abs(centres[..., :2]) < 0.006).all(-1) & (centres[..., 2] > 0.12)
+    dark = (centres[..., 0] > 0.06) & (centres[..., 0] < 0.1) & (np.abs(centres[..., 1:]) < 0.03).all(-1)
+    state = np.where(boom, OUTLINED, np.where(dark, POSSIBLE, FREE)).astype(np.uint8)
+    write_occupancy(Occupancy(corner, step_m, state), folder / "occupancy.npz")
+    ends = 0.4999 * step_m * np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+    of_boom, of_dark = ((centres[each][:, None] + ends).reshape(-1, 3) for each in (boom, dark))
+    box = np.asarray(example.surface.mesh.vertices)
+
+    def held(cover: str, points: Array) -> float:
+        """Share of the points that are inside a piece."""
+        meshes = tmp_path / f"{cover}.xml_meshes"
+        pieces = [trimesh.load_mesh(file) for file in sorted(meshes.glob("collision_*.obj"))]
+        planes = [ConvexHull(np.asarray(piece.vertices)).equations for piece in pieces]
+        return float(
+            (np.stack([convex_pieces.outside(points, each) for each in planes]).min(0) < 1e-6).mean()
+        )
+
+    covered = {"auto": (1, 1), "outlines": (1, 0), "surface": (0, 0), "hull": (1, None)}
+    words = {
+        "auto": "no frame excludes",
+        "outlines": "outlines of",
+        "surface": "mesh alone",
+        "hull": "hull of",
+    }
+    for cover, shares in covered.items():
+        file = export(folder, "mjcf", tmp_path / f"{cover}.xml", "--pieces", "32", "--cover", cover)
+        assert words[cover] in " ".join(file.read_text().split()) and held(cover, box) == 1.0
+        for points, share in zip((of_boom, of_dark), shares, strict=True):
+            assert share is None or abs(held(cover, points) - share) < 0.1 * (1 - share) + 1e-9, cover
+    assert len(list((tmp_path / "auto.xml_meshes").glob("collision_*.obj"))) > 1
+    # the same mesh without an occupancy: nothing is covered but the mesh
+    export(run, "mjcf", tmp_path / "old.xml", "--pieces", "32")
+    old, alone = (
+        {
+            file.name: file.read_bytes()
+            for file in (tmp_path / f"{name}.xml_meshes").iterdir()
+            if file.is_file()
+        }
+        for name in ("old", "surface")
+    )
+    assert {name for name in old if name.startswith("collision")} <= set(alone)
+    assert all(old[name] == alone[name] for name in old if name.startswith("collision"))
+    capsys.readouterr()
+    assert main(["export", str(run), "--to", "urdf", "-o", str(tmp_path / "x"), "--cover", "possible"]) == 2
+    assert "--cover possible: the run has no occupancy.npz" in capsys.readouterr().err
+    with pytest.raises(InputError, match="cover='outlines': the run has no occupancy"):
+        polhode.load(run).export("urdf", tmp_path / "x", cover="outlines")
 
 
 def test_a_run_without_a_mesh_exports_what_it_can(bare: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -226,6 +288,11 @@ def test_estimated_poses_in_tum_are_those_of_the_run(frame: FrameName, run: Path
         (["--to", "oem", "--epoch", "9" * 5000], "not a time"),
         (["--to", "oem", "--object-id", "<script>"], "give up to 64 letters"),
         (["--to", "urdf", "--pieces", "9" * 30], "give 1 (the convex hull) to 1024"),
+        (
+            ["--to", "ply", "--cover", "hull"],
+            "--cover hull: ply has no collision geometry; the option is for",
+        ),
+        (["--to", "urdf", "--cover", "all"], "--cover 'all': unknown"),
         (["--to", "ply", "--frame", "Q"], "--frame 'Q': unknown"),
         (["--to", "urdf", "--unit", "mm"], "--unit mm: urdf has lengths of its own"),
         (["--to", "oem", "--poses", "estimated"], "--poses estimated: only tum can have the poses at the"),

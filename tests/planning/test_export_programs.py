@@ -111,7 +111,7 @@ def test_the_pieces_contain_the_surface_and_reach_little_beyond(
     points = np.concatenate([np.asarray(samples), shape.vertices])
     reached = []
     for most in (1, 4, 64):
-        found = convex_pieces.decompose(shape, most)
+        found = convex_pieces.decompose(shape.mesh(), most)
         assert len(found.pieces) <= most
         planes = [ConvexHull(np.asarray(piece.vertices)).equations for piece in found.pieces]
         assert np.stack([outside(points, each) for each in planes]).min(axis=0).max() < 1e-9
@@ -137,13 +137,13 @@ def test_without_vhacd_there_is_the_convex_hull_and_it_is_said(
     cross: SurfaceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "vhacdx", None)
-    found = convex_pieces.decompose(shape_of_surface(cross, np.eye(4)), 16)
+    found = convex_pieces.decompose(cross.mesh, 16)
     assert len(found.pieces) == 1 and "V-HACD is not installed" in found.description
     flat = trimesh.creation.box((1.0, 1.0, 0.0))
     count = len(flat.vertices)
     plate = SurfaceModel(flat, np.ones(count), np.ones(count, dtype=np.int64))
     with pytest.raises(ValueError, match="flat"):
-        convex_pieces.decompose(shape_of_surface(plate, np.eye(4)), 1)
+        convex_pieces.decompose(plate.mesh, 1)
 
 
 def test_oem_readers_find_states_and_covariances(run: Path, tmp_path: Path) -> None:

@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from polhode.config import Config
 from polhode.geometry.lie import Array, Bools
 from polhode.pipeline.live.arrivals import Arrivals, require_pairs
+from polhode.pipeline.live.live_volumes import live_keep_out
 from polhode.pipeline.live.recording import ImageRecording
 from polhode.pipeline.run import RunResult, run
 from polhode.pipeline.stream.stream import CameraMotion, LiveState, Stream
+from polhode.planning.keep_out.measured_body import Cover
+from polhode.planning.keep_out.queries import KeepOut
+from polhode.planning.keep_out.volumes import KeepOutOptions
 from polhode.records.rig_calibration import StereoCalibration
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.argument_names import errors_name_arguments
@@ -77,6 +81,30 @@ class Session:
         None: with ``runtime.workers`` 1 it is made at the end only.
         """
         return self._stream.surface()
+
+    @errors_name_arguments({"--horizon": "horizon_s"})
+    def keep_out(
+        self,
+        horizon_s: float = 60.0,
+        confidence: float = 0.99,
+        members: int | None = None,
+        cover: Cover = "auto",
+    ) -> KeepOut:
+        """The space that the target may sweep from the latest pair on, as ``Run.keep_out``: in N, with times
+        after that pair.
+
+        The body is the live surface, and no occupancy is at hand: "possible" and "outlines" are refused, and
+        "auto" is the convex hull where the mesh is open. Raises InputError: no motion is known, there is no
+        surface yet, or options that do not fit.
+        """
+        body = self._stream.body_state()
+        if body is None:
+            raise InputError("no motion is known yet: a keep-out volume needs more pairs")
+        surface = self.surface()
+        if surface is None:
+            raise InputError("there is no live surface: set runtime.workers to 2 or more")
+        options = KeepOutOptions(horizon_s, confidence, members=members, cover=cover)
+        return live_keep_out(body, surface, options)
 
     @single_threaded
     def push(

@@ -15,7 +15,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from polhode.backend.window import SlidingWindow, online_estimate, stack_states, without_claims_after_torques
+from polhode.backend.window import (
+    BodyState,
+    SlidingWindow,
+    body_estimate,
+    online_estimate,
+    stack_states,
+    without_claims_after_torques,
+)
 from polhode.backend.window.causal_state import OnlineState
 from polhode.backend.window.frame import CameraNoise, FrameMeasurements
 from polhode.backend.window.frame_of_reference import FrameOfReference
@@ -151,6 +158,8 @@ class _Past:
     before: tuple[OnlineState, Array] | None = None
     """The latest state, and X_NR there"""
     first_X_NR: Array | None = None
+    known: tuple[list[OnlineState], Array] | None = None
+    """The latest state as the window gave it, those before that it is held against, and X_NR of all"""
 
 
 class Stream:
@@ -258,6 +267,14 @@ class Stream:
         the surface is made at the end."""
         return None if self._ahead is None else self._ahead.surface()
 
+    def body_state(self) -> BodyState | None:
+        """The body itself at the latest pair, in the present frame G; None: no motion is known."""
+        known, body = self._past.known, self._window.body_state()
+        if known is None or body is None or not np.isfinite(np.diagonal(known[0][-1].covariance)).any():
+            return None
+        rows, X_NR = known
+        return body_estimate(body, rows, self.rectifier.rig, X_NR, self._config.backend, self._effects)
+
     def request_surface(self) -> "Future[Any] | None":
         """The same, a ``SurfaceModel``, as soon as it is made; None: it will not be."""
         return None if self._ahead is None else self._ahead.request_surface()
@@ -311,6 +328,7 @@ class Stream:
         earlier = [row for row in (past.first_known, past.before) if row is not None]
         past.before = state, X_NR
         rows, X = [*(row[0] for row in earlier), state], [*(row[1] for row in earlier), X_NR]
+        past.known = rows, np.stack(X)
         online = online_estimate(rows, self.rectifier.rig, np.stack(X), self._config.backend, self._effects)
         if self._camera.wrench is not None:
             online = without_claims_after_torques(online, self._camera.wrench)

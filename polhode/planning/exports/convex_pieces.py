@@ -22,7 +22,6 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from trimesh.sample import sample_surface
 
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.planning.exports.job import ExportShape
 from polhode.runtime.optional_parts import missing_message
 
 VOXELS = 400_000
@@ -111,9 +110,15 @@ class Decomposition:
     """Of the surface: its two points farthest from each other"""
 
 
-def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
-    """Decompose, grow, split. Raises ValueError when the points are coplanar: there is no volume."""
-    points, mesh = shape.vertices[np.unique(shape.faces)], shape.mesh()
+def decompose(
+    surface: trimesh.Trimesh, max_pieces: int, body: trimesh.Trimesh | None = None
+) -> Decomposition:
+    """Decompose, grow, split. Raises ValueError when the points are coplanar: there is no volume.
+
+    The pieces contain all triangles of ``surface``, fill the body and protrude from it as little as they can;
+    body: its closed surface, None: ``surface`` itself.
+    """
+    points, mesh = np.asarray(surface.vertices)[np.unique(surface.faces)], surface if body is None else body
     try:
         corners = points[ConvexHull(points).vertices]
     except QhullError as error:
@@ -125,7 +130,7 @@ def decompose(shape: ExportShape, max_pieces: int) -> Decomposition:
     if seeds:
         # a tenth less, as the protrusion is evaluated at some points only
         within_m = 0.9 * MAX_PROTRUSION_SHARE * diameter
-        grown = split_until_near(_grown_pieces(shape, seeds, outward), outward, within_m, max_pieces)
+        grown = split_until_near(_grown_pieces(surface, seeds, outward), outward, within_m, max_pieces)
         pieces = [each.corners for each in grown]
     hulls = []
     for each in pieces:
@@ -171,16 +176,18 @@ def _initial_pieces(mesh: trimesh.Trimesh, max_pieces: int) -> tuple[list[Array]
     return found, "by V-HACD, grown until they contain the surface and split where they protrude far from it"
 
 
-def _grown_pieces(shape: ExportShape, seeds: list[Array], outward: OutwardDistance) -> list[ConvexPiece]:
+def _grown_pieces(
+    surface: trimesh.Trimesh, seeds: list[Array], outward: OutwardDistance
+) -> list[ConvexPiece]:
     """Each piece with the triangles assigned to it, and with its points inside the body.
 
     A sliver between two other pieces attracts triangles from all around it: pieces that grow out of
     proportion are left out, and their triangles are assigned to the others.
     """
     hulls = [ConvexHull(seed) for seed in seeds]
-    used, index = np.unique(shape.faces, return_inverse=True)
+    used, index = np.unique(surface.faces, return_inverse=True)
     corner: Ints = index.reshape(-1, 3)
-    points = shape.vertices[used]
+    points = np.asarray(surface.vertices)[used]
     # protrusion of each triangle from each piece (T, pieces): the largest over its corners
     leaves = np.stack([outside(points, hull.equations)[corner].max(axis=1) for hull in hulls], axis=1)
     kept = np.arange(len(seeds))

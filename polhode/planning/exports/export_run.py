@@ -20,12 +20,14 @@ from polhode.files.output.marked_folder import claim, forget_others, marked_fold
 from polhode.files.output.place import beginning_of
 from polhode.files.output.single_file import make_parent, output_file
 from polhode.planning.exports import ccsds, mesh_files, robot_xml
+from polhode.planning.exports.collision_body import collision_body
 from polhode.planning.exports.convex_pieces import MAX_PROTRUSION_SHARE, decompose
 from polhode.planning.exports.formats import MESHES, MOTIONS, ROBOTS
-from polhode.planning.exports.job import ExportJob, Files, failure_of, open_job, shape_of_surface
+from polhode.planning.exports.job import ExportJob, Files, failure_of, open_job
 from polhode.planning.exports.json_document import json_document
 from polhode.planning.exports.mass_properties import Inertial
 from polhode.planning.exports.options import METRES, ExportOptions, check, creation_date
+from polhode.run_directory.archives import read_occupancy
 from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import missing_part
@@ -138,14 +140,15 @@ def _robot(job: ExportJob) -> Files:
         files[folder / SURFACE_FILE] = mesh_files.obj(shape, job.comments, 1.0)
         try:
             # of the full mesh, whatever level is shown: a lighter one may lie inside it
-            cut = decompose(shape_of_surface(job.surface, job.X_FG), options.pieces)
+            solid = collision_body(job.surface, read_occupancy(job.folder), options.cover, job.X_FG)
+            cut = decompose(solid.surface, options.pieces, solid.closed)
         except ValueError as error:
             job.leave_out(f"collision geometry is left out: {error}")
         else:
             without = missing_part("vhacdx")
             if options.pieces > 1 and without:
                 job.leave_out(f"{without}: the collision geometry is the convex hull")
-            comments.append(cut.description)
+            comments.append(f"{cut.description}; {solid.words}")
             _log.info("%s", comments[-1])
             if cut.far_share > 1e-3:
                 more = "" if without else ": more --pieces protrude less"

@@ -11,7 +11,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from polhode.config.keys import suggestion
-from polhode.planning.exports.formats import FORMATS, MESHES, MOTIONS, Format
+from polhode.planning.exports.formats import FORMATS, MESHES, MOTIONS, ROBOTS, Format
+from polhode.planning.keep_out.measured_body import Cover
 from polhode.planning.predict import require_step
 from polhode.runtime.errors import InputError
 
@@ -36,6 +37,7 @@ class ExportOptions:
     mass_kg: float | None = None
     middle_moment_kg_m2: float | None = None
     pieces: int = 512
+    cover: Cover = "auto"
     poses: Poses = "predicted"
     horizon: float = 60.0
     step_s: float | None = None
@@ -96,6 +98,11 @@ def check(options: ExportOptions) -> None:
         require_step(options.step_s)
     if not 1 <= options.pieces <= MAX_PIECES:
         raise InputError(f"--pieces {options.pieces}: give 1 (the convex hull) to {MAX_PIECES}")
+    _require_one_of("--cover", options.cover, get_args(Cover))
+    if options.cover != "auto" and to not in ROBOTS:
+        raise InputError(
+            f"--cover {options.cover}: {to} has no collision geometry; the option is for {', '.join(ROBOTS)}"
+        )
     for name, text in (("--object-name", options.object_name), ("--object-id", options.object_id)):
         if not re.fullmatch(r"[A-Za-z0-9_.+-]{1,64}", text):
             raise InputError(f"{name} '{text[:64]}': give up to 64 letters, digits and _ . + - only")

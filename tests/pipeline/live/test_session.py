@@ -15,6 +15,7 @@ import polhode
 from polhode.config import Config
 from polhode.pipeline.live.session import Session
 from polhode.pipeline.stream.stream import LiveState
+from polhode.planning.keep_out.queries import KeepOut
 from polhode.records.dataset import StereoImages, StereoSequence, open_sequence
 from polhode.records.surface import SurfaceModel
 from polhode.run_directory.archives import read_online
@@ -62,6 +63,10 @@ class Finished:
     made: tuple[int, int]
     """Depth maps and links that were made ahead"""
     landmarks: int
+    volume: KeepOut
+    """After the last pair"""
+    refused: str
+    """Why there was none after the first"""
 
 
 @pytest.fixture(scope="module")
@@ -73,15 +78,40 @@ def whole(
     with Session(AHEAD, sequence.calibration) as session:
         for k, pair in enumerate(pairs):
             states += push(session, [pair], [0.5 * k])
+            if k == 0:
+                with pytest.raises(InputError) as early:
+                    session.keep_out()
             if k in (len(pairs) // 2, len(pairs) - 1):
                 surfaces.append(session.surface())
+        volume = session.keep_out(10.0, members=120)
         landmarks, ahead = len(session.landmarks_G), session._stream._ahead
         assert ahead is not None and ahead.depth.folder is not None
         made = sum(ahead.depth.has(DEPTH, str(k)) for k in range(len(pairs))), len(ahead.finish())
         session.finish(folder)
         assert ahead.depth.folder.is_dir()
     assert not ahead.depth.folder.exists()
-    return Finished(states, folder, session.warnings, surfaces, made, landmarks)
+    return Finished(states, folder, session.warnings, surfaces, made, landmarks, volume, str(early.value))
+
+
+def test_a_keep_out_volume_holds_the_body_as_it_is_known_live(whole: Finished) -> None:
+    """It contains the surface where the run's own motion has it, now and at the horizon."""
+    assert whole.refused == "no motion is known yet: a keep-out volume needs more pairs"
+    volume, state = whole.volume, whole.states[-1]
+    (estimate,) = volume.estimates
+    np.testing.assert_allclose(estimate.last.r_N, state.r_N, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(estimate.last.w_G), np.linalg.norm(state.w_P), rtol=1e-9)
+    covariance = estimate.last.covariance
+    assert np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance).min() > -1e-12
+    known = np.isfinite(np.diagonal(state.covariance)[:6])
+    same = np.sqrt(np.diagonal(covariance)[:6] / np.diagonal(state.covariance)[:6])[known]
+    np.testing.assert_allclose(same, 1.0, rtol=1e-6)
+    run = polhode.load(whole.folder)
+    vertices = np.asarray(run.mesh.vertices)
+    for time_s in (0.0, 10.0):
+        places = run.points_N(vertices, time_s)
+        assert volume.contains(places, time_s).mean() > 0.99 and volume.contains(places).mean() > 0.99
+    far = state.r_N + np.array([0.0, 0.0, 2.0])
+    assert not volume.contains(far[None])[0]
 
 
 def test_the_answer_is_that_of_a_batch_run_and_the_surface_grows_towards_it(
