@@ -61,7 +61,7 @@ def test_a_boom_that_stereo_missed_is_outlined_and_the_sky_around_it_is_free() -
     # about as far from the boom as the blur of an edge reaches
     pixel_m = 0.5 / RIG.focal_px
     away = np.linalg.norm((outlined - (0.02, 0.01, 0.05))[:, :2], axis=1)
-    assert np.median(away) < (module.BLUR_PX + 1.0) * pixel_m + 0.5 * occupied.step_m
+    assert np.median(away) < (module.BLUR_PX + 1.0) * pixel_m + occupied.step_m
     assert occupied.step_m**3 * len(outlined) < 0.2 * BOX.volume
     # the same again: nothing is drawn at random
     np.testing.assert_array_equal(found(BOX, views_of(WHOLE, 20)).state, occupied.state)

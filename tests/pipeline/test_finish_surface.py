@@ -125,9 +125,9 @@ def test_each_step_can_be_switched_off_and_an_empty_surface_stays_empty(
 
 def test_frames_are_cut_to_the_body() -> None:
     image = np.full((RIG.height_px, RIG.width_px), 200, dtype=np.uint8)
-    sequence: Any = SimpleNamespace(
-        X_NC=np.tile(np.eye(4), (3, 1, 1)), read_left=lambda k: (image, image > 0)
-    )
+    target = np.zeros(image.shape, dtype=bool)
+    target[50:70, 70:90] = True
+    sequence: Any = SimpleNamespace(X_NC=np.tile(np.eye(4), (3, 1, 1)), read_left=lambda k: (image, target))
     size = (RIG.width_px, RIG.height_px)
     context = RunContext(sequence, Rectifier(RIG, np.eye(4), None, (size, size)), CONFIG, Silent())
     surface: Any = SimpleNamespace(mesh=trimesh.creation.box((0.16, 0.16, 0.16)))
@@ -136,4 +136,8 @@ def test_frames_are_cut_to_the_body() -> None:
     views = module._views(context, surface, X_RG)
     # 6 px around columns 79.5 +- 45.7 and rows 59.5 +- 45.7; the second one is cut by the border
     assert [(view.u0, view.v0, *view.image.shape) for view in views] == [(27, 7, 105, 105), (56, 7, 105, 104)]
-    assert all(view.silhouette.all() and view.image.shape == view.silhouette.shape for view in views)
+    assert all(view.silhouette.sum() == 400 and view.image.shape == view.silhouette.shape for view in views)
+    # and to what of the target the surface lacks, as a boom
+    target[5, 150] = True
+    first = module._views(context, surface, X_RG)[0]
+    assert (first.u0, first.v0, *first.image.shape) == (27, 0, 112, 130) and first.silhouette.sum() == 401

@@ -13,7 +13,8 @@ SCHEMA = "polhode-summary/"
 
 _FILE = re.compile(
     r"summary\.json|config\.yaml|log\.txt|report\.html|metrics\.json|trajectory(_online)?\.csv"
-    r"|(pushes|live_states)\.csv|(covariance|measurements|online|hypotheses|occupancy)\.npz|landmarks\.ply|mesh\.(ply|glb)|mesh_lod\d+\.glb"
+    r"|(pushes|live_states)\.csv|(covariance|measurements|online|hypotheses|occupancy)\.npz"
+    r"|landmarks\.ply|mesh\.(ply|glb)|mesh_lod\d+\.glb"
     r"|pictures/(captions\.json|\d+\.(jpg|png)|(landmarks|mesh)\.png|masks\.jpg|model\.(mp4|gif|csv)|model_\d+\.jpg)"
 )
 _STAGE_FILE = re.compile(r"stages/(recording\.json|(earlier/)?(recording\.json|\w+/[0-9a-f]+\.npz))")
