@@ -98,8 +98,6 @@ BENCHMARKS = (
               f"examples/sample --run {SAMPLE_RUN} --box None", ("data/temple",)),
     Benchmark("random_rigs", "calibration.random_rigs", "docs/calibrate.md", 30,
               short="--short --workers 1 --record runs/short/records/random_rigs"),
-    _of_runs("keepout", "planning.keepout", "docs/planning.md", 60, ("ts38", "asteroid", "pure_spin"),
-             "{runs}", "--horizon 2 --draws 5 --cells 24"),
     Benchmark("live", "live.latency", "docs/live.md", 40, short="--short --record runs/short/records/live"),
     Benchmark("long", "live.long", "docs/live.md", 25, short="--short --record runs/short/records/long"),
     Benchmark("clock", "live.clock", "docs/live.md", 12, short="--short --record runs/short/records/clock"),

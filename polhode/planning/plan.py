@@ -1,5 +1,6 @@
 """``polhode plan``: keep-out volume, surface speeds, corridor of a docking point and approach from a run."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,9 +35,11 @@ from polhode.run_directory.summary import read_summary
 from polhode.run_directory.summary_in_words import describe_intervals
 from polhode.run_directory.summary_schema import Intervals, Summary
 from polhode.runtime.errors import InputError
-from polhode.runtime.progress import Progress
+from polhode.runtime.progress import NOTE, Progress
 
 MOST_CONFIDENT = 0.9999
+FIRST_S, MEMBER_S = 4.0, 1.2e-5
+"""Cost of a volume on one core, and what each motion adds at each instant [s]"""
 COVERED = {
     "possible": "Keep-out applies to the measured surface with all that it encloses, to what the outlines of "
     "several frames show beside it, and to what no frame excludes.",
@@ -54,6 +57,9 @@ OPEN_ROTATION = (
     "the rotation is ambiguous, so that nobody knows where the docking point will be: take images at shorter "
     "or unequal intervals, or state the fastest possible rotation (backend.max_rpm)"
 )
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -216,6 +222,11 @@ def _keep_out(
     options: KeepOutOptions,
     progress: Progress | None,
 ) -> KeepOut:
+    instants = len(member_times(estimates, options.horizon_s))
+    seconds = len(estimates) * (FIRST_S + MEMBER_S * options.drawn * instants)
+    _log.log(
+        NOTE, "keep-out volume: %d motions at %d instants, about %.0f s", options.drawn, instants, seconds
+    )
     return keep_out_of_all(surface, estimates, options, read_occupancy(run), progress)
 
 

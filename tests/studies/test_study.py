@@ -114,9 +114,9 @@ def test_an_address_depends_on_all_that_decides_the_result_and_on_nothing_else(
 
 BASELINE_DRAWS = {"uniform": [1, 2], "count": 1000}
 BAD: dict[str, dict[str, Any]] = {
-    "plan: members: a confidence of 0.99 needs 226, not 200": {
+    "key 'plan.members': must be at least 60": {
         "steps": ["simulate", "run", "plan"],
-        "plan": {"members": 200},
+        "plan": {"members": 50},
     },
     "unknown key 'axis'; did you mean axes?": {"axis": {}},
     "unknown key 'scene.framez'; did you mean frames?": {"axes": {"scene.framez": [1]}},

@@ -1,1 +1,0 @@
-"""The keep-out volume over independent draws: keepout."""
