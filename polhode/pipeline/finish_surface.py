@@ -194,7 +194,9 @@ def occupied_space(
         return None, ()
     free = correction_of(context.rig, motion.estimate)
     depths = (free(maps[view.frame]) for view in views[0])
-    sun_N, mesh = coloured.sun_N, coloured.surface.mesh
+    # a direction that explains little is still better than none: it keeps dark sides in
+    sun_N = None if coloured.sun is None else coloured.sun.direction_N
+    mesh = coloured.surface.mesh
     return _attempt("the occupancy", lambda: occupancy_of(mesh, views[0], depths, context.rig, sun_N), None)
 
 
