@@ -32,6 +32,7 @@ from polhode.planning.plan import final_estimate, surface_of
 from polhode.records.metrics import truth_at
 from polhode.records.read_truth import read_truth
 from polhode.records.truth import Truth
+from polhode.run_directory.archives import read_occupancy
 from polhode.run_directory.trajectory_file import read_trajectory
 from polhode.runtime.errors import InputError
 
@@ -84,7 +85,7 @@ def example(run: Path, sequence: Path, folder: Path, duration_s: float) -> int:
     estimate, _ = final_estimate(run)
     surface = surface_of(run)
     folder.mkdir(parents=True, exist_ok=True)
-    found = keep_out(surface, estimate, KeepOutOptions(duration_s, 0.99))
+    found = keep_out(surface, estimate, KeepOutOptions(duration_s, 0.99), read_occupancy(run))
     volume = found.instant
     motion = volume.motion
     end, begin = motion.com_N[-1], motion.com_N[0]
