@@ -282,49 +282,39 @@ def _carve(
     a = np.zeros(3)
     a[np.argmin(np.abs(sun))] = 1.0
     a = np.cross(a, sun)
-    is_known = np.sqrt(np.sum(a * a)) > 0.0
-    if is_known:
-        a /= np.sqrt(np.sum(a * a))
-    b = np.cross(sun, a)
+    length = np.sqrt(np.sum(a * a))
+    is_known = length > 0.0
+    a /= max(length, 1e-300)
+    axes, middle = np.stack((a, np.cross(sun, a), sun)), origin + 0.5 * step * CELLS
     pixel = SHADOW_CELLS * step
-    middle = origin + 0.5 * step * CELLS
     nearest = np.full((SHADOW_PX, SHADOW_PX), -np.inf)
     if is_known:
         for n in range(len(vertices)):
-            d = vertices[n] - middle
-            p, q = (
-                int(np.rint(np.dot(d, a) / pixel)) + SHADOW_PX // 2,
-                int(np.rint(np.dot(d, b) / pixel)) + SHADOW_PX // 2,
-            )
-            if 0 <= p < SHADOW_PX and 0 <= q < SHADOW_PX:
-                nearest[p, q] = max(nearest[p, q], np.dot(d, sun))
+            p, q, towards = _in_shadow_map(vertices[n] - middle, axes, pixel)
+            nearest[p, q] = max(nearest[p, q], towards)
         for n in range(len(cell)):
             if open_[n]:
-                d = origin + step * cell[n] - middle
-                p, q = (
-                    int(np.rint(np.dot(d, a) / pixel)) + SHADOW_PX // 2,
-                    int(np.rint(np.dot(d, b) / pixel)) + SHADOW_PX // 2,
-                )
-                if 0 <= p < SHADOW_PX and 0 <= q < SHADOW_PX:
-                    nearest[p, q] = max(nearest[p, q], np.dot(d, sun))
+                p, q, towards = _in_shadow_map(origin + step * cell[n] - middle, axes, pixel)
+                nearest[p, q] = max(nearest[p, q], towards)
     for n in range(len(cell)):
         if not open_[n] or excluded[n] & bit:
             continue
-        x, y, z = origin[0] + step * cell[n, 0], origin[1] + step * cell[n, 1], origin[2] + step * cell[n, 2]
-        what = _shows(x, y, z, step, X, pinhole, behind, free_to, kind)
+        at = origin + step * cell[n]
+        what = _shows(at[0], at[1], at[2], step, X, pinhole, behind, free_to, kind)
         if what == SKY and is_known:
-            d = np.array([x, y, z]) - middle
-            p, q = (
-                int(np.rint(np.dot(d, a) / pixel)) + SHADOW_PX // 2,
-                int(np.rint(np.dot(d, b) / pixel)) + SHADOW_PX // 2,
-            )
-            if (
-                0 <= p < SHADOW_PX
-                and 0 <= q < SHADOW_PX
-                and np.dot(d, sun) < nearest[p, q] - SHADOW_CELLS * step
-            ):
+            p, q, towards = _in_shadow_map(at - middle, axes, pixel)
+            if towards < nearest[p, q] - pixel:
                 continue
         if what in (SKY, BEFORE):
             excluded[n] |= bit
             if excluded[n] != bit:
                 open_[n] = False
+
+
+@compiled_ieee
+def _in_shadow_map(place: Array, axes: Array, pixel: float) -> tuple[int, int, float]:
+    """Row and column of a place (3,) as the Sun sees it, and how far towards the Sun it is; axes (3, 3)."""
+    x, y, z = np.sum(axes[0] * place), np.sum(axes[1] * place), np.sum(axes[2] * place)
+    p = min(max(int(np.rint(x / pixel)) + SHADOW_PX // 2, 0), SHADOW_PX - 1)
+    q = min(max(int(np.rint(y / pixel)) + SHADOW_PX // 2, 0), SHADOW_PX - 1)
+    return p, q, z
