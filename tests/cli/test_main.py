@@ -66,9 +66,9 @@ BAD_USAGE = {
     "plan R -o D --dock-point 1 2": "--dock-point 1 2: give 3 numbers: X Y Z, each from",
     "plan R -o D --dock-axis -1 0 0 0": "--dock-axis -1 0 0 0: give 3 numbers: X Y Z;",
     "plan R -o D --dock-point=x": "--dock-point x: give 3 numbers: X Y Z",
-    "plan R -o D --members 1.5": "--members 1.5: give a whole number from 1 to 100000;",
+    "plan R -o D --members 1.5": "--members 1.5: give a whole number from 60 to 100000;",
     "predict R --horizon-s soon": "--horizon-s soon: give a number;",
-    "plan R -o D --cover x": "--cover x: give one of auto, surface, hull;",
+    "plan R -o D --cover x": "--cover x: give one of auto, possible, outlines, surface, hull;",
     "run --data S -o R --overwite": "unknown option '--overwite'; did you mean --overwrite?",
     "checkout --rg R S -o D": "did you mean --rig?",
     "calibrate --boards 9x6 -o R": "unknown option '--boards'; did you mean --board?",
@@ -123,8 +123,8 @@ def test_keys_of_the_configuration_are_told_from_options_and_arguments(words: st
 
 
 def test_options_are_converted_to_their_types() -> None:
-    plan, _ = parse("plan", PlanCommand, ["-oD", "--dock-axis", "-1", "0", "1e3", "R", "--members=7"])
-    assert (plan.run, plan.output, plan.members) == (Path("R"), Path("D"), 7)
+    plan, _ = parse("plan", PlanCommand, ["-oD", "--dock-axis", "-1", "0", "1e3", "R", "--members=70"])
+    assert (plan.run, plan.output, plan.members) == (Path("R"), Path("D"), 70)
     assert plan.dock_axis == (-1.0, 0.0, 1000.0) and plan.dock_point is None
     words = ["a.bag", "--stamps", "l.csv", "r.csv", "--start", "2", "-o", "S", "--overwrite"]
     imported, _ = parse("import", ImportCommand, words)
