@@ -26,7 +26,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.mapping.visibility import Caster, FrameView, MeshViewer, directions, sun_in_G
+from polhode.mapping.visibility import FrameView, MeshViewer, directions, sun_in_G
 from polhode.records.occupancy import FREE, OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import DepthMap
 from polhode.runtime.compiled import compiled_ieee
@@ -66,7 +66,6 @@ def occupancy_of(
     depths: Iterable[DepthMap],
     rig: RectifiedRig,
     sun_N: Array | None,
-    caster: Caster | None = None,
 ) -> Occupancy:
     """The grid of a mesh in G and the frames that show it, with their depth maps; sun_N (3,): None: unknown.
 
@@ -74,7 +73,7 @@ def occupancy_of(
     """
     if not views:
         raise ValueError("no frames")
-    viewer, vertices = MeshViewer(mesh, caster), np.asarray(mesh.vertices, dtype=np.float64)
+    viewer, vertices = MeshViewer(mesh), np.asarray(mesh.vertices, dtype=np.float64)
     pictures = [_Picture(*each, viewer, rig) for each in zip(views, depths, strict=True)]
     origin, step_m = _grid(mesh, pictures)
     shown, free = (np.zeros((CELLS, CELLS, CELLS), dtype=np.uint16) for _ in range(2))

@@ -112,42 +112,42 @@ class DepthPicture:
         z = np.asarray(towards, dtype=np.float64) / np.linalg.norm(towards)
         x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
         x /= np.linalg.norm(x)
-        self.axes = np.stack([x, np.cross(z, x), z], axis=1)
-        self.eye = caster.middle if eye_G is None else np.asarray(eye_G, dtype=np.float64)
+        self._axes = np.stack([x, np.cross(z, x), z], axis=1)
+        self._eye = caster.middle if eye_G is None else np.asarray(eye_G, dtype=np.float64)
         self._parallel = eye_G is None
         # the same where a coarse depth map replaces the rays
-        self.tolerance_m = 2.0 * 8e-3 * caster.radius_m
+        self._tolerance_m = 2.0 * 8e-3 * caster.radius_m
         reach = caster.radius_m
         if not self._parallel:
-            distance = float(np.linalg.norm(caster.middle - self.eye))
+            distance = float(np.linalg.norm(caster.middle - self._eye))
             near = max(distance**2 - caster.radius_m**2, 1e-4 * distance**2)
             reach = caster.radius_m / float(np.sqrt(near))
-        self.scale = 0.5 * (_MAP_PIXELS - 1) / reach
-        centre = (np.arange(_MAP_PIXELS) - 0.5 * (_MAP_PIXELS - 1)) / self.scale
+        self._scale = 0.5 * (_MAP_PIXELS - 1) / reach
+        centre = (np.arange(_MAP_PIXELS) - 0.5 * (_MAP_PIXELS - 1)) / self._scale
         x, y = (axis.reshape(-1) for axis in np.meshgrid(centre, centre))
         if self._parallel:
             far = 2.0 * caster.radius_m
-            start = self.eye + np.stack([x, y, np.full_like(x, -far)], axis=1) @ self.axes.T
-            found, _ = caster.first(start, np.broadcast_to(self.axes[:, 2], start.shape))
+            start = self._eye + np.stack([x, y, np.full_like(x, -far)], axis=1) @ self._axes.T
+            found, _ = caster.first(start, np.broadcast_to(self._axes[:, 2], start.shape))
             depth = found - far
         else:
             ray = np.stack([x, y, np.ones_like(x)], axis=1)
             length = np.linalg.norm(ray, axis=1)
-            found, _ = caster.first(self.eye, (ray / length[:, None]) @ self.axes.T)
+            found, _ = caster.first(self._eye, (ray / length[:, None]) @ self._axes.T)
             depth = found / length
         picture = depth.reshape(_MAP_PIXELS, _MAP_PIXELS).astype(np.float32)
         # A point is hidden only if all pixels around it are nearer: edges do not hide visible points.
         around = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
-        self.depth = maximum_filter(picture, footprint=around, mode="nearest").reshape(-1)
+        self._depth = maximum_filter(picture, footprint=around, mode="nearest").reshape(-1)
 
     def shows(self, p_G: Array | Floats) -> Bools:
         """(n,) true where points (n, 3) in G [m] are not hidden behind the mesh."""
-        p = (p_G - self.eye.astype(p_G.dtype)) @ self.axes.astype(p_G.dtype)
+        p = (p_G - self._eye.astype(p_G.dtype)) @ self._axes.astype(p_G.dtype)
         z = p[:, 2]
         flat = p[:, :2] if self._parallel else p[:, :2] / np.maximum(z, 1e-9)[:, None]
-        cell = np.rint(flat * p.dtype.type(self.scale) + p.dtype.type(0.5 * (_MAP_PIXELS - 1)))
+        cell = np.rint(flat * p.dtype.type(self._scale) + p.dtype.type(0.5 * (_MAP_PIXELS - 1)))
         column, row = cell.clip(0, _MAP_PIXELS - 1).astype(np.int32).T
-        return np.asarray(z < self.depth[row * _MAP_PIXELS + column] + self.tolerance_m)
+        return np.asarray(z < self._depth[row * _MAP_PIXELS + column] + self._tolerance_m)
 
 
 def pixels_of(view: FrameView, p_G: Array | Floats, rig: RectifiedRig) -> tuple[Ints, Ints, Bools]:
