@@ -25,7 +25,6 @@ from polhode.planning.approach.surface_speed import SurfaceSpeed, slowest_points
 from polhode.planning.approach.tumbling_threshold import fuel_share
 from polhode.planning.exports.ccsds import tum
 from polhode.planning.keep_out.measured_body import REASONS, ScalarGrid
-from polhode.planning.keep_out.queries import KeepOut
 from polhode.planning.plan import Plan
 from polhode.records.surface import SurfaceModel
 from polhode.report.pictures.body_views import (
@@ -71,7 +70,7 @@ def draw_keepout(plan: Plan) -> bytes:
     keep, surface = plan.keep_out, plan.surface
     assert keep is not None and surface is not None
     volume, motion = keep.swept.mesh, keep.instant.motion
-    by_reason = np.array(REASON_RGB)[keep.reasons(np.asarray(volume.vertices, dtype=np.float64))] / 255.0
+    by_reason = np.array(REASON_RGB)[keep.swept_reasons] / 255.0
     around, body = MeshViewer(volume), MeshViewer(surface.mesh)
     normal_G, normal_N = np.asarray(surface.mesh.vertex_normals), np.asarray(volume.vertex_normals)
     middle = volume.bounds.mean(axis=0)
@@ -127,11 +126,12 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
     """
     files, summary = dict[str, bytes](), summary_of(plan)
     if (keep := plan.keep_out) is not None:
-        files |= volume_files("keepout", keep, keep.swept.mesh)
+        files |= volume_files("keepout", keep.swept.mesh, keep.swept_reasons)
         files["keepout.npz"] = field_npz(keep.swept.field())
         for number, time_s in enumerate(plan.instants_s):
             mesh = keep.instant.level(time_s).mesh()
-            files |= volume_files(f"keepout_{number:03d}", keep, mesh, time_s)
+            reason = keep.reasons(np.asarray(mesh.vertices, dtype=np.float64), time_s)
+            files |= volume_files(f"keepout_{number:03d}", mesh, reason, time_s)
     if plan.speed is not None and plan.surface is not None:
         files["surface_speed.ply"] = speed_ply(plan.surface.mesh, plan.speed)
     if plan.corridor is not None:
@@ -151,10 +151,9 @@ def write_plan(plan: Plan, folder: Path) -> list[str]:
 
 
 def volume_files(
-    name: str, keep: KeepOut, mesh: trimesh.Trimesh, time_s: float | None = None
+    name: str, mesh: trimesh.Trimesh, reason: NDArray[np.uint8], time_s: float | None = None
 ) -> dict[str, bytes]:
-    """PLY and GLB of a volume in N, coloured by why each vertex is there, in the PLY also as ``reason``."""
-    reason = keep.reasons(np.asarray(mesh.vertices, dtype=np.float64), time_s)
+    """PLY and GLB of a volume in N, coloured by why each vertex is there (V,), which the PLY has, too."""
     rgb = np.array(REASON_RGB, dtype=np.uint8)[reason]
     columns = dict(zip("xyz", np.asarray(mesh.vertices).T, strict=True))
     columns |= dict(zip(("nx", "ny", "nz"), np.asarray(mesh.vertex_normals).T, strict=True))

@@ -240,6 +240,11 @@ class KeepOut:
     confidence: float
     members: int
 
+    @cached_property
+    def swept_reasons(self) -> NDArray[np.uint8]:
+        """``reasons`` (V,) of the vertices of ``swept.mesh``."""
+        return self.reasons(np.asarray(self.swept.mesh.vertices, dtype=np.float64))
+
     def reasons(self, places_N: Array, time_s: ArrayLike | None = None) -> NDArray[np.uint8]:
         """Why places (n, 3) on the surface of the volume are there, as numbers of ``REASONS`` (n,): by the
         part of the body that is nearest, at any instant or at the time that is given.

@@ -121,7 +121,7 @@ def test_the_volume_of_an_instant_is_closed_and_holds_the_body_of_all_hypotheses
 
 
 def test_its_files_are_read_by_trimesh_numpy_and_fcl(drifting: KeepOut) -> None:
-    files = volume_files("keepout", drifting, drifting.swept.mesh)
+    files = volume_files("keepout", drifting.swept.mesh, drifting.swept_reasons)
     mesh = trimesh.load_mesh(io.BytesIO(files["keepout.ply"]), file_type="ply")
     assert isinstance(mesh, trimesh.Trimesh)
     assert mesh.is_watertight and set(np.unique(mesh.metadata["_ply_raw"]["vertex"]["data"]["reason"])) <= {
