@@ -23,20 +23,19 @@ from skimage.measure import marching_cubes
 
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out.distance_fields import closest
-from polhode.records import occupancy
-from polhode.records.occupancy import Occupancy
+from polhode.records.occupancy import OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import InputError
 
 Floats = NDArray[np.float32]
 Cover = Literal["auto", "possible", "outlines", "surface", "hull"]
 Covered = Literal["possible", "outlines", "surface", "hull"]
-MEASURED, OUTLINED, POSSIBLE = 0, 1, 2
+MEASURED = 0
 REASONS = ("measured", "seen in outlines", "not excluded")
-"""Why a place belongs to the body"""
+"""Why a place belongs to the body: MEASURED, or by the state of its cell"""
 STATES: dict[Covered, tuple[int, ...]] = {
-    "possible": (occupancy.OUTLINED, occupancy.POSSIBLE), "outlines": (occupancy.OUTLINED,),
-    "surface": (), "hull": (occupancy.OUTLINED,),
+    "possible": (OUTLINED, POSSIBLE), "outlines": (OUTLINED,),
+    "surface": (), "hull": (OUTLINED,),
 }  # fmt: skip
 """Cells of the occupancy that belong to the body, by what it covers"""
 OPEN_SHARE = 0.01
@@ -168,10 +167,10 @@ def grown_body(
         outermost = np.concatenate([outermost, centres])
     else:
         values = _grown_distance(empty, q[few], normal[few], m[few])
-        for kind, state in zip((OUTLINED, POSSIBLE), STATES[covers], strict=False):
+        for state in STATES[covers]:
             assert occupied is not None
             to_cells = _distance_to_cells(empty, occupied, state) - radius_m
-            reason.reshape(-1)[to_cells < values] = kind
+            reason.reshape(-1)[to_cells < values] = state
             values = np.minimum(values, to_cells)
             outermost = np.concatenate([outermost, occupied.centres(state)])
     grid = ScalarGrid(empty.origin, step, values.reshape(shape).astype(np.float32))
