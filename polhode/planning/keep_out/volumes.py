@@ -69,6 +69,8 @@ MAX_CELLS = 20_000_000
 MEMBERS, CHOOSING = 600, 200
 """Motions that are drawn up to 99 %, and those of them by which c is chosen"""
 LEAST_MEMBERS, MOST_MEMBERS = 60, 2000
+STEPS = 4
+"""Of progress, for each hypothesis"""
 
 
 @dataclass(frozen=True)
@@ -127,10 +129,6 @@ def keep_out_of_all(
         times = member_times(estimates, options.horizon_s)
         first, *others = (_keep_out(body, each, times, options, advance) for each in estimates)
     return first.united_with(others)
-
-
-STEPS = 4
-"""Of progress, for each hypothesis"""
 
 
 def _keep_out(
@@ -219,10 +217,7 @@ class _Sweep:
     @cached_property
     def spread_m(self) -> Array:
         """(T,) the body's uncertainty by its pose"""
-        return np.asarray(
-            np.sqrt(np.trace(self.P[:, :3, :3], axis1=1, axis2=2))
-            + self.body.radius_m * np.sqrt(np.trace(self.P[:, 3:, 3:], axis1=1, axis2=2))
-        )
+        return _spread_m(self.P, self.body.radius_m)
 
     @cached_property
     def points(self) -> Array:
@@ -256,8 +251,8 @@ def _swept(
     tried = list[tuple[float, float, Array, float, float]]()
     for turning in (P, _without_turn(P, estimate.com_G)):
         sweep_of = partial(_Sweep, body, estimate, motion, turning, horizon_s=options.horizon_s)
-        spread_m = sweep_of(np.zeros(3), np.zeros(3), 1.0).spread_m
-        low, high = _box(middle, FACTORS[-1] * spread_m + body.radius_m, centres, body.radius_m)
+        far_m = FACTORS[-1] * _spread_m(turning, body.radius_m) + body.radius_m
+        low, high = _box(middle, far_m, centres, body.radius_m)
         coarse = sweep_of(low, high, COARSE * float((high - low).max()) / options.cells)
         _, fields = found = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
         scores = coarse.scores(*found, halves[0])
@@ -268,8 +263,8 @@ def _swept(
     advance()
     _, factor, turning, allowed, most = min(tried, key=lambda each: each[0])
     sweep_of = partial(_Sweep, body, estimate, motion, turning, horizon_s=options.horizon_s)
-    grown_m = factor * sweep_of(np.zeros(3), np.zeros(3), 1.0).spread_m + body.radius_m
-    low, high = _box(middle, grown_m + max(allowed, 0.0), middle, body.radius_m)
+    far_m = factor * _spread_m(turning, body.radius_m) + body.radius_m + max(allowed, 0.0)
+    low, high = _box(middle, far_m, middle, body.radius_m)
     step = float((high - low).max()) / options.cells
     fine, more_m = sweep_of(low, high, step), max(1.5 * most, 0.0) + BORDER_CELLS * step
     factors = np.array([factor])
@@ -286,6 +281,12 @@ def _swept(
             advance()
             return SweptKeepOut(whole, factor, added, tail.sigma(options.pose_miss))
         more_m = float(np.clip(1.1 * added, 2.0 * more_m, 4.0 * more_m))
+
+
+def _spread_m(P: Array, radius_m: float) -> Array:
+    """Uncertainty (T,) [m] of a body with this radius by the covariance of its pose (T, 6, 6)."""
+    shift, turn = (np.sqrt(np.trace(part, axis1=1, axis2=2)) for part in (P[:, :3, :3], P[:, 3:, 3:]))
+    return np.asarray(shift + radius_m * turn)
 
 
 def _box(middle: Array, far_m: Array, others: Array, radius_m: float) -> tuple[Array, Array]:
