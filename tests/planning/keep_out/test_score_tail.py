@@ -1,5 +1,7 @@
 """Bounds of tails against distributions whose tails are known."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import norm, t
@@ -9,15 +11,15 @@ from polhode.planning.keep_out.score_tail import ScoreTail
 
 @pytest.mark.parametrize(("law", "most"), [(norm, 1.6), (t(4), 3.5)], ids=["Gaussian errors", "long tails"])
 @pytest.mark.parametrize(("count", "miss"), [(60, 9e-3), (400, 9e-3), (400, 9e-4), (1200, 9e-5)])
-def test_a_bound_is_exceeded_as_often_as_is_said(law: object, most: float, count: int, miss: float) -> None:
+def test_a_bound_is_exceeded_as_often_as_is_said(law: Any, most: float, count: int, miss: float) -> None:
     rng = np.random.default_rng(3)
-    draws = law.rvs(size=(40, count), random_state=rng)  # type: ignore[attr-defined]
+    draws = law.rvs(size=(40, count), random_state=rng)
     tails = [ScoreTail.of(each) for each in draws]
     bounds = np.array([tail.bound(miss) for tail in tails])
-    realised = law.sf(bounds)  # type: ignore[attr-defined]
+    realised = law.sf(bounds)
     assert realised.mean() < most * miss
     # nor far beyond what is needed, and as uncertain as is said
-    true = law.isf(miss)  # type: ignore[attr-defined]
+    true = law.isf(miss)
     assert 0.85 * true < np.median(bounds) < 1.6 * true
     stated = np.median([tail.sigma(miss) for tail in tails])
     assert 0.3 * stated < bounds.std() < 2.0 * stated + 0.1
