@@ -34,8 +34,8 @@ from polhode.runtime.compiled import compiled_ieee
 Floats = NDArray[np.float32]
 Counts = NDArray[np.uint16]
 
-CELLS = 80
-"""Along a side of the grid"""
+LEAST_CELLS_ALONG, MOST_CELLS_ALONG = 24, 80
+"""A side of the grid; between them a cell is as large as a pixel of the frame that was nearest"""
 BEYOND_MOST = 1.2
 """Half a side of the grid over the farthest that three quarters of the outlines reach"""
 BLUR_PX = 2.5
@@ -75,9 +75,9 @@ def occupancy_of(
         raise ValueError("no frames")
     viewer, vertices = MeshViewer(mesh), np.asarray(mesh.vertices, dtype=np.float64)
     pictures = [_Picture(*each, viewer, rig) for each in zip(views, depths, strict=True)]
-    origin, step_m = _grid(mesh, pictures)
-    shown, free = (np.zeros((CELLS, CELLS, CELLS), dtype=np.uint16) for _ in range(2))
-    from_ = np.zeros((CELLS, CELLS, CELLS, 3), dtype=np.float32)
+    origin, step_m, cells = _grid(mesh, pictures)
+    shown, free = (np.zeros((cells, cells, cells), dtype=np.uint16) for _ in range(2))
+    from_ = np.zeros((cells, cells, cells, 3), dtype=np.float32)
     for picture in pictures:
         _count(shown, free, from_, origin, step_m, picture.eye_G, *picture.parts)
     outlined = (shown >= LEAST_SHOWN) & (shown >= SHARE_SHOWN * (shown + free))
@@ -89,12 +89,13 @@ def occupancy_of(
     pieces, count = label(outlined, np.ones((3, 3, 3)))
     outlined &= np.bincount(pieces.ravel(), minlength=count + 1)[pieces] >= LEAST_CELLS
     state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
-    cell = _inside_hull(np.concatenate([thin, origin + step_m * np.argwhere(outlined)]), origin, step_m)
+    cell = _inside_hull(np.concatenate([thin, origin + step_m * np.argwhere(outlined)]), origin, step_m, cells)
     excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
+    middle = origin + 0.5 * step_m * cells
     for _ in range(PASSES):
         for n, (view, picture) in enumerate(zip(views, pictures, strict=True)):
             towards = np.zeros(3) if sun_N is None else sun_in_G(view, sun_N)
-            _carve(excluded, open_, cell, origin, step_m, np.uint64(n), towards, thin, *picture.parts)
+            _carve(excluded, open_, cell, origin, step_m, middle, np.uint64(n), towards, thin, *picture.parts)
     left = cell[open_]
     possible = left[state[tuple(left.T)] == FREE]
     state[tuple(possible.T)] = POSSIBLE
@@ -117,7 +118,7 @@ def _is_located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> Bo
     return np.asarray((1.0 - length / shown >= LEAST_SPREAD) | between)
 
 
-def _inside_hull(points: Array, origin: Array, step_m: float) -> Ints:
+def _inside_hull(points: Array, origin: Array, step_m: float, cells: int) -> Ints:
     """(m, 3) cells in planes around the convex hull of cells at points; none where these are in a plane."""
     try:
         normals = ConvexHull(points).equations[:, :3]
@@ -126,16 +127,16 @@ def _inside_hull(points: Array, origin: Array, step_m: float) -> Ints:
     # of many planes those in different directions
     normals = np.unique(np.round(normals, 1), axis=0)
     reach = (points @ normals.T).max(axis=0) + 0.5 * step_m * np.abs(normals).sum(axis=1)
-    return np.argwhere(_within(normals, reach, origin, step_m))
+    return np.argwhere(_within(normals, reach, origin, step_m, cells))
 
 
 @compiled_ieee
-def _within(normals: Array, reach: Array, origin: Array, step: float) -> Bools:
-    """Cells (CELLS, CELLS, CELLS) behind all planes, with normals (n, 3) of any length and offsets (n,)."""
-    inside = np.zeros((CELLS, CELLS, CELLS), dtype=np.bool_)
-    for i in range(CELLS):
-        for j in range(CELLS):
-            for k in range(CELLS):
+def _within(normals: Array, reach: Array, origin: Array, step: float, cells: int) -> Bools:
+    """Cells (cells, cells, cells) behind all planes, with normals (n, 3) of any length and offsets (n,)."""
+    inside = np.zeros((cells, cells, cells), dtype=np.bool_)
+    for i in range(cells):
+        for j in range(cells):
+            for k in range(cells):
                 x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
                 inside[i, j, k] = True
                 for n in range(len(reach)):
@@ -145,8 +146,8 @@ def _within(normals: Array, reach: Array, origin: Array, step: float) -> Bools:
     return inside
 
 
-def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array, float]:
-    """Centre of the first cell and edge of a cell [m]: a cube about what the outlines of most frames show.
+def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array, float, int]:
+    """Centre of the first cell, edge of a cell [m] and number along a side: a cube about what the outlines of most frames show.
 
     A frame whose outline goes far beyond the others' has failed masks: it shows no matter.
     """
@@ -157,7 +158,9 @@ def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array,
     for picture, reach_m in zip(pictures, reaches_m, strict=True):
         if reach_m > half_m:
             picture.kind[picture.kind == TARGET] = NOTHING
-    return middle - half_m, 2.0 * half_m / (CELLS - 1)
+    pixel_m = min(picture.pixel_m(middle) for picture in pictures)
+    cells = int(np.clip(np.ceil(2.0 * half_m / pixel_m), LEAST_CELLS_ALONG, MOST_CELLS_ALONG))
+    return middle - half_m, 2.0 * half_m / (cells - 1), cells
 
 
 class _Picture:
@@ -194,6 +197,11 @@ class _Picture:
         X = np.ascontiguousarray(view.X_RG, dtype=np.float64)
         self.kind = kind
         self.parts = (X, pinhole, self.behind_m.astype(np.float32), self.free_to_m, kind)
+
+    def pixel_m(self, middle_G: Array) -> float:
+        """Size of a pixel at a point (3,)."""
+        X, pinhole = self.parts[:2]
+        return float((X[2, :3] @ middle_G + X[2, 3]) / pinhole[0])
 
     def reach_m(self, middle_G: Array) -> float:
         """The farthest that the outline is from a point (3,), in its plane across the line of sight."""
@@ -268,7 +276,7 @@ def _count(
 
 @compiled_ieee
 def _carve(
-    excluded: NDArray[np.uint64], open_: Bools, cell: Ints, origin: Array, step: float,
+    excluded: NDArray[np.uint64], open_: Bools, cell: Ints, origin: Array, step: float, middle: Array,
     frame: np.uint64, sun: Array, vertices: Array,
     X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
 ) -> None:  # fmt: skip
@@ -284,7 +292,7 @@ def _carve(
     length = np.sqrt(np.sum(a * a))
     is_known = length > 0.0
     a /= max(length, 1e-300)
-    axes, middle = np.stack((a, np.cross(sun, a), sun)), origin + 0.5 * step * CELLS
+    axes = np.stack((a, np.cross(sun, a), sun))
     pixel = SHADOW_CELLS * step
     nearest = np.full((SHADOW_PX, SHADOW_PX), -np.inf)
     if is_known:
