@@ -89,7 +89,8 @@ def occupancy_of(
     pieces, count = label(outlined, np.ones((3, 3, 3)))
     outlined &= np.bincount(pieces.ravel(), minlength=count + 1)[pieces] >= LEAST_CELLS
     state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
-    cell = _inside_hull(np.concatenate([thin, origin + step_m * np.argwhere(outlined)]), origin, step_m, cells)
+    known = np.concatenate([thin, origin + step_m * np.argwhere(outlined)])
+    cell = _inside_hull(known, origin, step_m, cells)
     excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
     middle = origin + 0.5 * step_m * cells
     for _ in range(PASSES):
@@ -147,7 +148,7 @@ def _within(normals: Array, reach: Array, origin: Array, step: float, cells: int
 
 
 def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array, float, int]:
-    """Centre of the first cell, edge of a cell [m] and number along a side: a cube about what the outlines of most frames show.
+    """Centre of the first cell, edge of a cell [m], number along a side: a cube about what most outlines show.
 
     A frame whose outline goes far beyond the others' has failed masks: it shows no matter.
     """
