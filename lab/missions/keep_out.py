@@ -5,7 +5,7 @@
 Each mission is simulated and run as by ``lab.missions.missions``, whose sequences and runs are used again;
 its volume at 99 % is a row of the record, and an interrupted benchmark goes on. Points of the true body's
 outer surface move along the true motion after the last pair; those that no frame saw in light count apart.
-The volume is compared with what the true body sweeps under the run's own covariance, nothing added, and
+The volume is compared with what the true body sweeps under the run's own covariance (``smallest_sweep``), and
 clearances at random places with the true ones. ``--ambiguous``: missions that turn by more than half a
 revolution between pairs at equal intervals; those count whose run has several hypotheses of the rotation.
 """
@@ -201,8 +201,13 @@ def print_totals(lines: Sequence[Case]) -> None:
         clear, wrong = (sum(line["claims"][key] for line in found) for key in ("clear", "wrong"))
         most_m = max(line["claims"]["most_over_m"] for line in found)
         print(f"Claimed clearances: {clear}; {wrong} are too large, by {1e3 * most_m:.2f} mm at most")
-        seconds = [line["seconds_cpu"] for line in found]
+        seconds, sift = (np.array([line[key] for line in found]) for key in ("seconds_cpu", "sift_cpu"))
         print(f"Seconds of the processor: median {np.median(seconds):.1f}, most {max(seconds):.1f}")
+        print(f"Over those of one SIFT on the target in all images: median {np.median(seconds / sift):.2f}")
+        ratios = [line["ratio_to_union"] for line in found]
+        print(
+            f"Over the union of members, which others leave more often than allowed: {np.median(ratios):.2f}"
+        )
         print(f"Edges of surfaces without two faces: {sum(line['open_edges'] for line in found)}")
     for line in lines:
         if "none" in line:

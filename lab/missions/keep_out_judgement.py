@@ -4,27 +4,32 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+import cv2
 import numpy as np
 import trimesh
 
-from lab.missions.smallest_sweep import FINE, is_outer, outer_surface, smallest_sweep_m3
+from lab.missions.smallest_sweep import FINE, Smallest, is_outer, outer_surface, smallest_sweep
+from polhode.frontend.segmentation import target_mask
 from polhode.geometry.lie import Array, Bools, inverse_pose, transform_points
 from polhode.planning.keep_out import keep_out_truth
 from polhode.planning.keep_out.keep_out_truth import Excess
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
 from polhode.planning.plan import keep_out_of_run, surface_of
 from polhode.planning.predict import final_estimates
+from polhode.records.dataset import open_sequence
 from polhode.records.mesh_metrics import distance_to_surface, encloses
 from polhode.records.read_truth import read_truth
 from polhode.report.evaluation import TrueBody, true_body_ahead
 from polhode.runtime.errors import InputError
 
-CELLS = 0.5
+CELLS = 1.0
 """Edge of the cells in which the smallest volume is counted, over that of the volume's grid"""
 CLAIMS = 60
 """Places and instants at which a claimed distance is compared with the true one"""
 GROWN = 0.5
 """By this share of its diagonal the box of the volume is grown for them"""
+SIFT_MARGIN_PX = 4
+"""Around the target in the images on which one SIFT is timed"""
 LEAST_WRONG_M = 1e-6
 """A claim that is farther above the truth than this is wrong: beyond the rounding of both"""
 
@@ -40,9 +45,10 @@ def keep_out_judgement(run: Path, sequence: Path, options: KeepOutOptions, seed:
     mesh, motion = read_truth(sequence).mesh, found.instant.motion
     assert mesh is not None
     body = true_body_ahead(run, sequence, motion.time_s, keep_out_truth.POINTS)
-    smallest_m3 = _smallest_m3(found, run, mesh, body, options)
+    smallest = _smallest(found, run, mesh, body, options)
     return {
         "seconds_cpu": round(seconds, 2),
+        "sift_cpu": round(_sift_seconds(sequence), 2),
         "covers": found.body.covers,
         "confidence": options.confidence,
         "hypotheses": len(found.instant.hypotheses),
@@ -51,11 +57,28 @@ def keep_out_judgement(run: Path, sequence: Path, options: KeepOutOptions, seed:
         **_containment(found, run, sequence, mesh, body),
         **_surface(found.swept.mesh),
         "volume_m3": found.swept.volume_m3,
-        "smallest_m3": smallest_m3,
-        "ratio": found.swept.volume_m3 / smallest_m3,
+        "smallest_m3": smallest.volume_m3,
+        "ratio": found.swept.volume_m3 / smallest.volume_m3,
+        "ratio_to_union": found.swept.volume_m3 / smallest.union_m3,
         "claims": _claims(found, mesh, body, seed),
         "judging_cpu": round(process_time() - start_s - seconds, 2),
     }
+
+
+def _sift_seconds(folder: Path) -> float:
+    """Time of the processor of one SIFT over the target's part of all images."""
+    sift, sequence, total = cv2.SIFT_create(), open_sequence(folder), 0.0
+    for k in range(len(sequence)):
+        pair = sequence.read_pair(k)
+        for image in (pair.left, pair.right):
+            rows, columns = np.nonzero(target_mask(image))
+            if len(rows):
+                top, left = max(rows.min() - SIFT_MARGIN_PX, 0), max(columns.min() - SIFT_MARGIN_PX, 0)
+                part = image[top : rows.max() + SIFT_MARGIN_PX, left : columns.max() + SIFT_MARGIN_PX]
+                start_s = process_time()
+                sift.detectAndCompute(np.ascontiguousarray(part), None)
+                total += process_time() - start_s
+    return total
 
 
 def _containment(
@@ -96,14 +119,14 @@ def _surface(mesh: trimesh.Trimesh) -> dict[str, Any]:
     return {"watertight": closed, "open_edges": int((count != 2).sum())}
 
 
-def _smallest_m3(
+def _smallest(
     found: KeepOut, run: Path, mesh: trimesh.Trimesh, body: TrueBody, options: KeepOutOptions
-) -> float:
+) -> Smallest:
     step_m = CELLS * found.swept.level.step_m
     outer = outer_surface(mesh, FINE * step_m)
     # where the run's G has them at the last pair
     in_run = transform_points(inverse_pose(body.last_estimate_X_NG) @ body.last_X_NG, outer)
-    return smallest_sweep_m3(in_run, final_estimates(run), options.horizon_s, options.confidence, step_m)
+    return smallest_sweep(in_run, final_estimates(run), options.horizon_s, options.confidence, step_m)
 
 
 def _claims(found: KeepOut, mesh: trimesh.Trimesh, body: TrueBody, seed: int) -> dict[str, Any]:

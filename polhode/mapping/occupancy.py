@@ -10,9 +10,10 @@ frame says of each cell of a grid in G one of three things:
 
 A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from
 silhouettes: Laurentini, IEEE PAMI 16, 1994). As matter may face away from the Sun, a share of the frames is
-enough. It is *possible* where no two frames say that it is free and the convex hull of surface and outlined
-cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos and Seitz, Int. J.
-Computer Vision 38, 2000).
+enough; of the cells on one ray those count that most frames agree on. It is *possible* where no two frames
+say that it is free and the convex hull of surface and outlined cells contains it: dark sides, holes of the
+mesh, concavities (space carving: Kutulakos and Seitz, Int. J. Computer Vision 38, 2000). It is *empty*
+where two frames show the sky although the Sun reaches it: however uncertain, the surface is not there.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,13 +22,13 @@ import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import label, minimum_filter
+from scipy.ndimage import label, maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.mapping.visibility import FrameView, MeshViewer, directions, sun_in_G
-from polhode.records.occupancy import FREE, OUTLINED, POSSIBLE, Occupancy
+from polhode.records.occupancy import EMPTY, FREE, OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import DepthMap
 from polhode.runtime.compiled import compiled_ieee
 
@@ -47,15 +48,17 @@ LEAST_SHOWN, LEAST_FREE = 3, 2
 """Frames that make a cell outlined, or free"""
 SHARE_SHOWN = 0.3
 """Of the frames that say something, those that show an outlined cell"""
-LEAST_SPREAD = 0.06
-"""One minus the mean of the directions from which a cell is shown: 20 degrees about their mean"""
+SHARE_OF_RAY = 0.6
+"""Of the largest such share on a ray, that of the cells which may be what the pixel shows"""
+LEAST_SPREAD = 0.08
+"""One minus the mean of the directions from which a cell is shown: 23 degrees about their mean"""
 DIRECTIONS, WITHIN_SHARE = 300, 0.15
 LEAST_LIT = 0.25
 """Share of the visible model that must be in light where the sky is to tell that nothing is there"""
 PASSES = 3
 SHADOW_PX, SHADOW_CELLS = 160, 1.5
-LEAST_CELLS = 8
-"""Of a piece of outlined cells that does not touch the surface"""
+LEAST_CELLS, ATTACHED_CELLS = 8, 2.0
+"""Of a piece of outlined cells; and its distance from the surface, unless rays tell where it is"""
 SKY, TARGET, NOTHING, BEFORE = 0, 1, 2, 3
 """What a pixel shows"""
 
@@ -80,33 +83,56 @@ def occupancy_of(
     from_ = np.zeros((cells, cells, cells, 3), dtype=np.float32)
     for picture in pictures:
         _count(shown, free, from_, origin, step_m, picture.eye_G, *picture.parts)
-    outlined = (shown >= LEAST_SHOWN) & (shown >= SHARE_SHOWN * (shown + free))
+    share = (shown / np.maximum(shown + free, 1)).astype(np.float32)
+    outlined = (shown >= LEAST_SHOWN) & (share >= SHARE_SHOWN)
+    outlined[outlined] = _explains(origin + step_m * np.argwhere(outlined), share[outlined], step_m, pictures)
     # what lies within a cell stands for the rest of the surface
     thin = origin + step_m * np.unique(np.rint((vertices - origin) / step_m), axis=0)
-    outlined[outlined] = _is_located(
-        origin + step_m * np.argwhere(outlined), from_[outlined], shown[outlined], thin
-    )
-    pieces, count = label(outlined, np.ones((3, 3, 3)))
-    outlined &= np.bincount(pieces.ravel(), minlength=count + 1)[pieces] >= LEAST_CELLS
+    places = origin + step_m * np.argwhere(outlined)
+    located, between = _located(places, from_[outlined], shown[outlined], thin)
+    attached = located | (cKDTree(thin).query(places)[0] <= ATTACHED_CELLS * step_m)
+    outlined[outlined], attached = located | between, attached[located | between]
+    pieces = label(outlined, np.ones((3, 3, 3)))[0][outlined]
+    of_piece = (np.bincount(pieces) >= LEAST_CELLS) & (np.bincount(pieces, attached) > 0)
+    outlined[outlined] = of_piece[pieces]
     state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
     known = np.concatenate([thin, origin + step_m * np.argwhere(outlined)])
     cell = _inside_hull(known, origin, step_m, cells)
     excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
     middle = origin + 0.5 * step_m * cells
+    suns = [np.zeros(3) if sun_N is None else sun_in_G(view, sun_N) for view in views]
     for _ in range(PASSES):
-        for n, (view, picture) in enumerate(zip(views, pictures, strict=True)):
-            towards = np.zeros(3) if sun_N is None else sun_in_G(view, sun_N)
-            _carve(excluded, open_, cell, origin, step_m, middle, np.uint64(n), towards, thin, *picture.parts)
+        for n, (sun, picture) in enumerate(zip(suns, pictures, strict=True)):
+            bit = np.uint64(1) << np.uint64(n)
+            _carve(excluded, open_, cell, origin, step_m, middle, bit, sun, thin, True, *picture.parts)
     left = cell[open_]
     possible = left[state[tuple(left.T)] == FREE]
     state[tuple(possible.T)] = POSSIBLE
+    cell, known = np.argwhere(state == FREE), np.concatenate([thin, origin + step_m * left])
+    excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
+    for n, (sun, picture) in enumerate(zip(suns, pictures, strict=True)):
+        bit = np.uint64(1) << np.uint64(n)
+        _carve(excluded, open_, cell, origin, step_m, middle, bit, sun, known, False, *picture.parts)
+    state[tuple(cell[~open_].T)] = EMPTY
     return Occupancy(origin, step_m, state)
 
 
-def _is_located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> Bools:
-    """(n,) whether shown cells at p_G (n, 3) are where the rays say, from directions with the sum (n, 3).
+def _explains(p_G: Array, share: Floats, step_m: float, pictures: Sequence["_Picture"]) -> Bools:
+    """(n,) whether several frames have none much better for what they show along the rays to cells (n, 3)."""
+    agreed = np.zeros(len(p_G), dtype=np.int64)
+    for picture in pictures:
+        pixel = _shown_in(p_G, step_m, *picture.parts)
+        shown = np.flatnonzero(pixel[:, 0] >= 0)
+        at = tuple(pixel[shown].T)
+        best = np.zeros(picture.kind.shape, dtype=np.float32)
+        np.maximum.at(best, at, share[shown])
+        agreed[shown] += share[shown] >= SHARE_OF_RAY * maximum_filter(best, 3)[at]
+    return np.asarray(agreed >= LEAST_SHOWN)
 
-    Rays that are nearly parallel do not say how far away it is: no nearer or farther than the surface is.
+
+def _located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> tuple[Bools, Bools]:
+    """(n,) whether the rays to shown cells at p_G (n, 3) say how far away they are, by directions with the
+    sum (n, 3), of which nearly parallel ones do not; and whether they are as far as the surface is.
     """
     length = np.linalg.norm(from_, axis=1)
     towards = directions(DIRECTIONS)
@@ -116,7 +142,7 @@ def _is_located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> Bo
     nearest = cKDTree(towards).query(from_ / length[:, None])[1]
     along = np.einsum("nk,nk->n", p_G, towards[nearest])
     between = (along >= (low - more)[nearest]) & (along <= (high + more)[nearest])
-    return np.asarray((1.0 - length / shown >= LEAST_SPREAD) | between)
+    return 1.0 - length / shown >= LEAST_SPREAD, between
 
 
 def _inside_hull(points: Array, origin: Array, step_m: float, cells: int) -> Ints:
@@ -148,7 +174,7 @@ def _within(normals: Array, reach: Array, origin: Array, step: float, cells: int
 
 
 def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array, float, int]:
-    """Centre of the first cell, edge of a cell [m], number along a side: a cube about what most outlines show.
+    """Centre of the first cell, edge of a cell [m], number along a side: a cube about most outlines.
 
     A frame whose outline goes far beyond the others' has failed masks: it shows no matter.
     """
@@ -237,10 +263,7 @@ def _shows(
     depth = X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3]
     if depth <= 0.0:
         return NOTHING
-    across = X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3]
-    down = X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3]
-    column = int(np.rint(pinhole[0] * across / depth + pinhole[1]))
-    row = int(np.rint(pinhole[0] * down / depth + pinhole[2]))
+    row, column = _pixel(x, y, z, X, pinhole)
     if row < 0 or row >= height or column < 0 or column >= width:
         # the part of the image that was read contains the whole outline
         row, column = row + int(pinhole[4]), column + int(pinhole[3])
@@ -276,16 +299,40 @@ def _count(
 
 
 @compiled_ieee
+def _shown_in(
+    p_G: Array, step: float,
+    X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
+) -> Ints:  # fmt: skip
+    """Row and column (n, 2) at which a frame shows cells at p_G (n, 3); -1 for those that it does not."""
+    out = np.full((len(p_G), 2), -1)
+    for n in range(len(p_G)):
+        x, y, z = p_G[n]
+        if _shows(x, y, z, step, X, pinhole, behind, free_to, kind) == TARGET:
+            out[n] = _pixel(x, y, z, X, pinhole)
+    return out
+
+
+@compiled_ieee
+def _pixel(x: float, y: float, z: float, X: Array, pinhole: Array) -> tuple[int, int]:
+    """Row and column of a point in front of the camera."""
+    depth = X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3]
+    across = X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3]
+    down = X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3]
+    column = int(np.rint(pinhole[0] * across / depth + pinhole[1]))
+    return int(np.rint(pinhole[0] * down / depth + pinhole[2])), column
+
+
+@compiled_ieee
 def _carve(
     excluded: NDArray[np.uint64], open_: Bools, cell: Ints, origin: Array, step: float, middle: Array,
-    frame: np.uint64, sun: Array, vertices: Array,
+    bit: np.uint64, sun: Array, opaque: Array, is_first: bool,
     X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Close the cells (m, 3) that this frame and another one exclude.
+    """Close the cells (m, 3) that the frame of this bit and another one exclude.
 
-    A cell before the sky is only excluded where the Sun reaches it past the surface and open cells.
+    A cell before the sky is only excluded where the Sun reaches it past opaque places (n, 3) and, at first,
+    open cells; at first also before a measured surface.
     """
-    bit = np.uint64(1) << frame
     # directions across the Sun's
     a = np.zeros(3)
     a[np.argmin(np.abs(sun))] = 1.0
@@ -297,11 +344,11 @@ def _carve(
     pixel = SHADOW_CELLS * step
     nearest = np.full((SHADOW_PX, SHADOW_PX), -np.inf)
     if is_known:
-        for n in range(len(vertices)):
-            p, q, towards = _in_shadow_map(vertices[n] - middle, axes, pixel)
+        for n in range(len(opaque)):
+            p, q, towards = _in_shadow_map(opaque[n] - middle, axes, pixel)
             nearest[p, q] = max(nearest[p, q], towards)
         for n in range(len(cell)):
-            if open_[n]:
+            if is_first and open_[n]:
                 p, q, towards = _in_shadow_map(origin + step * cell[n] - middle, axes, pixel)
                 nearest[p, q] = max(nearest[p, q], towards)
     for n in range(len(cell)):
@@ -313,7 +360,7 @@ def _carve(
             p, q, towards = _in_shadow_map(at - middle, axes, pixel)
             if towards < nearest[p, q] - pixel:
                 continue
-        if what in (SKY, BEFORE):
+        if what == SKY or (is_first and what == BEFORE):
             excluded[n] |= bit
             if excluded[n] != bit:
                 open_[n] = False

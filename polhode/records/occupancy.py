@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from polhode.geometry.lie import Array
 
-FREE, OUTLINED, POSSIBLE = STATES = 0, 1, 2
-"""States of a cell: shown to be free; by several frames, to hold matter; excluded by no frame."""
+FREE, OUTLINED, POSSIBLE, EMPTY = STATES = 0, 1, 2, 3
+"""States of a cell: outside of all that is known; by several frames it holds matter; excluded by no frame;
+seen before the sky, where matter would be in light.
+"""
 
 
 @dataclass(frozen=True)

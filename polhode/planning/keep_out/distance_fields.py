@@ -222,73 +222,120 @@ def sweep(
 ) -> None:
     """Lower fields (nx, ny, nz, C) by the body at T instants: R (T, 3, 3), p (T, 3), P (T, 6, 6).
 
-    factors (C,) ascending from 0. The distance of a cell from the body changes no faster than the body moves
-    there: instants by which it cannot have come nearer than it was are left out.
+    factors (C,) ascending from 0. However far it turns, the body stays in its sphere (radius) about a point
+    (3,) in G, which has a sigma of its own: nothing beyond that sphere, grown by c of those, is lowered.
+    The distance of a cell from the body changes no faster than the body moves there: instants by which it
+    cannot have come nearer than it was are left out.
     """
     nx, ny, nz, C = fields.shape
     T, found, tolerance = len(R), np.empty(4), TOLERANCE_CELLS * step
     # the largest sigmas up to each instant, and the largest motion between two instants
-    shift, turn = np.zeros(T), np.zeros(T)
-    centre, shifted, turned = np.empty((T, 3)), 1e-12, 1e-12
-    most_lever = 2.0 * radius + np.sqrt(np.sum(middle**2))
+    shift, turn, across = np.zeros(T), np.zeros(T), np.zeros(T)
+    centre, shifted, turned, of_middle = np.empty((T, 3)), 1e-12, 1e-12, np.zeros((T, 3, 3))
+    arm = np.zeros((3, 6))
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        arm[axis, axis], arm[a, 3 + b], arm[b, 3 + a] = 1.0, middle[axis], -middle[axis]
     for t in range(T):
-        shift[t] = max(shift[max(t - 1, 0)], 1.000001 * np.sqrt(np.linalg.eigvalsh(P[t, :3, :3])[2]))
-        turn[t] = max(turn[max(t - 1, 0)], 1.000001 * np.sqrt(np.linalg.eigvalsh(P[t, 3:, 3:])[2]))
+        before = max(t - 1, 0)
         centre[t] = R[t] @ middle + p[t]
+        rotated = R[t] @ arm
+        of_middle[t] = rotated @ P[t] @ rotated.T
+        shift[t] = max(shift[before], _largest_sigma(P[t, :3, :3]))
+        turn[t] = max(turn[before], _largest_sigma(P[t, 3:, 3:]))
+        across[t] = max(across[before], _largest_sigma(of_middle[t]))
         if t > 0:
             shifted = max(shifted, np.sqrt(np.sum((centre[t] - centre[t - 1]) ** 2)))
             # the chord of the angle is at least this part of its arc, for steps below a radian
             turned = max(turned, 1.05 * np.sqrt(0.5 * np.sum((R[t] - R[t - 1]) ** 2)))
     for i in range(nx):
         for j in range(ny):
+            # the instant that was the nearest to a cell is near to the next one, too
+            hint = 0
             for k in range(nz):
-                x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
-                t = 0
-                while t < T and fields[i, j, k, 0] > -DEEP_CELLS * step:
-                    cx, cy, cz = x - centre[t, 0], y - centre[t, 1], z - centre[t, 2]
-                    away = np.sqrt(cx * cx + cy * cy + cz * cz)
-                    # by the sphere around the body first, as that costs least
-                    distance = away - radius
-                    lever = distance + abs(distance) + most_lever
-                    sigma = shift[t] + lever * turn[t]
+                cell = fields[i, j, k]
+                place = np.array([origin[0] + i * step, origin[1] + j * step, origin[2] + k * step])
+                t = -1
+                while t < T and cell[0] > -DEEP_CELLS * step:
+                    at = hint if t < 0 else t
+                    from_centre = place - centre[at]
+                    away = np.sqrt(np.sum(from_centre**2))
+                    # by the sphere first, as that costs least
                     gap = np.inf
                     for c in range(C):
-                        gap = min(gap, distance - factors[c] * sigma - fields[i, j, k, c])
+                        gap = min(gap, away - radius - factors[c] * across[at] - cell[c])
+                    lever, speed = 0.0, shifted
                     if gap < 0.0:
-                        dx, dy, dz = x - p[t, 0], y - p[t, 1], z - p[t, 2]
-                        gx = R[t, 0, 0] * dx + R[t, 1, 0] * dy + R[t, 2, 0] * dz
-                        gy = R[t, 0, 1] * dx + R[t, 1, 1] * dy + R[t, 2, 1] * dz
-                        gz = R[t, 0, 2] * dx + R[t, 1, 2] * dy + R[t, 2, 2] * dz
-                        linear(body, body_origin, body_step, gx, gy, gz, found)
-                        distance = found[0]
-                        lever = np.sqrt(gx * gx + gy * gy + gz * gz) + abs(distance)
-                        # an upper bound of sigma: where it lowers no field, sigma does not either
-                        sigma = shift[t] + lever * turn[t]
-                        lowers = False
-                        for c in range(C):
-                            lowers = lowers or distance - factors[c] * sigma < fields[i, j, k, c]
-                        if lowers:
-                            along = sigma_along(P[t], gx, gy, gz, found) if factors[C - 1] > 0.0 else 0.0
-                            for c in range(C):
-                                value = distance - factors[c] * along
-                                if value < fields[i, j, k, c]:
-                                    fields[i, j, k, c] = value
-                        gap = np.inf
-                        for c in range(C):
-                            gap = min(gap, distance - factors[c] * sigma - fields[i, j, k, c])
+                        least = cell[0]
+                        lever, gap = _lower(
+                            cell, factors, place - p[at], R[at], P[at], body, body_origin, body_step,
+                            from_centre, of_middle[at], radius, shift[at], turn[at], found,
+                        )  # fmt: skip
+                        speed += turned * (away + max(gap + tolerance, 0.0))
+                        if cell[0] < least:
+                            hint = at
                     gap += tolerance
                     steps = 1
-                    if gap > shifted + turned * away:
-                        ahead = min(t + int(gap / (shifted + turned * (away + gap))), T - 1)
-                        grown = (
-                            shift[ahead]
-                            - shift[t]
-                            + lever * (turn[ahead] - turn[t])
-                            + 2.0 * gap * turn[ahead]
-                        )
-                        gap -= factors[C - 1] * grown
-                        steps = max(1, int(SLOWER * gap / (shifted + turned * (away + gap))))
-                    t += steps
+                    if gap > speed:
+                        ahead = min(t + int(gap / speed), T - 1)
+                        grown = across[ahead] - across[at]
+                        if lever > 0.0:
+                            grown = shift[ahead] - shift[at] + lever * (turn[ahead] - turn[at])
+                            grown += 2.0 * gap * turn[ahead]
+                        steps = max(1, int(SLOWER * (gap - factors[C - 1] * grown) / speed))
+                    t = 0 if t < 0 else t + steps
+
+
+@compiled_ieee
+def _largest_sigma(P: Array) -> float:
+    return float(1.000001 * np.sqrt(max(np.linalg.eigvalsh(P)[-1], 0.0)))
+
+
+@compiled_ieee
+def _lower(
+    cell: Floats,
+    factors: Array,
+    from_origin: Array,
+    R: Array,
+    P: Array,
+    body: Floats,
+    body_origin: Array,
+    body_step: float,
+    from_centre: Array,
+    of_middle: Array,
+    radius: float,
+    shift: float,
+    turn: float,
+    found: Array,
+) -> tuple[float, float]:
+    """Lower a cell's values (C,) by the body at one instant; its lever, and how far at least the body is from
+    lowering one of them further.
+    """
+    C = len(factors)
+    dx, dy, dz = from_origin
+    gx = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz
+    gy = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
+    gz = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
+    linear(body, body_origin, body_step, gx, gy, gz, found)
+    distance = found[0]
+    lever = np.sqrt(gx * gx + gy * gy + gz * gz) + abs(distance)
+    # an upper bound of sigma: where it lowers no field, sigma does not either
+    sigma = shift + lever * turn
+    lowers = False
+    for c in range(C):
+        lowers = lowers or distance - factors[c] * sigma < cell[c]
+    if lowers:
+        along = sigma_along(P, gx, gy, gz, found)
+        away = np.sqrt(np.sum(from_centre**2))
+        n = from_centre / max(away, 1e-12)
+        across = np.sqrt(max(n @ of_middle @ n, 0.0))
+        for c in range(C):
+            value = max(distance - factors[c] * along, away - radius - factors[c] * across)
+            cell[c] = min(cell[c], value)
+    gap = np.inf
+    for c in range(C):
+        gap = min(gap, distance - factors[c] * sigma - cell[c])
+    return lever, gap
 
 
 @compiled_ieee

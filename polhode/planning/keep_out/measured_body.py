@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, label, map_coordinates
+from scipy.ndimage import binary_erosion, distance_transform_edt, label, map_coordinates
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.special import ndtri
@@ -23,7 +23,7 @@ from skimage.measure import marching_cubes
 
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out.distance_fields import closest
-from polhode.records.occupancy import OUTLINED, POSSIBLE, Occupancy
+from polhode.records.occupancy import EMPTY, OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import InputError
 
@@ -38,6 +38,8 @@ STATES: dict[Covered, tuple[int, ...]] = {
     "surface": (), "hull": (OUTLINED,),
 }  # fmt: skip
 """Cells of the occupancy that belong to the body, by what it covers"""
+CERTAIN_SIGMAS = 2.0
+"""Of the surface: what lies within them is never cut off"""
 OPEN_SHARE = 0.01
 """Without an occupancy a mesh whose open boundaries span more than this share of its area is replaced by its
 hull."""
@@ -137,7 +139,7 @@ def grown_body(
     """The body that contains the true surface with the probability 1 - ``miss``.
 
     ``cells`` along its longest side; ``occupied``: None for a run without it. Raises ValueError when the
-    surface has no faces, InputError as ``what_to_cover``.
+    surface has no faces; InputError as ``what_to_cover``, and where it is hardly known.
     """
     mesh = surface.mesh
     if len(mesh.faces) == 0:
@@ -148,6 +150,9 @@ def grown_body(
     centres, radius_m = np.zeros((0, 3)), 0.0
     if occupied is not None:
         centres, radius_m = occupied.centres(*STATES[covers]), HALF_DIAGONAL * occupied.step_m
+    known_m = float(np.median(margin))
+    if known_m > mesh.extents.max():
+        raise InputError(f"the surface is known to within {known_m:.3g} m only: no keep-out volume")
     ends = np.concatenate([np.asarray(mesh.vertices), centres])
     low, high = ends.min(axis=0), ends.max(axis=0)
     most_m, size_m = max(float(margin.max()), radius_m), float((high - low).max())
@@ -157,7 +162,10 @@ def grown_body(
     shape = tuple(np.ceil((high - low + 2.0 * border) / step).astype(int) + 1)
     empty = ScalarGrid(low - border, step, np.zeros(shape, dtype=np.float32))
     q, normal, m = sample_surface(mesh, margin, 0.5 * step)
-    outermost, few = q + m[:, None] * normal, _thinned(q, m, 0.25 * step)
+    few, certain = _thinned(q, m, 0.25 * step), CERTAIN_SIGMAS / sigmas
+    cut = None if occupied is None or covers == "hull" else _empty_space(occupied)
+    reach = m if cut is None else np.where(cut.at(q + m[:, None] * normal) > 0.0, certain * m, m)
+    outermost = q + reach[:, None] * normal
     reason = np.full(shape, MEASURED, dtype=np.uint8)
     if covers == "hull":
         of_hull = np.concatenate([q[few], centres]), np.concatenate([m[few], np.full(len(centres), radius_m)])
@@ -167,6 +175,9 @@ def grown_body(
         outermost = np.concatenate([outermost, centres])
     else:
         values = _grown_distance(empty, q[few], normal[few], m[few])
+        if cut is not None:
+            least = _grown_distance(empty, q[few], normal[few], certain * m[few])
+            values = np.maximum(values, np.minimum(cut.at(empty.corners()), least))
         for state in STATES[covers]:
             assert occupied is not None
             to_cells = _distance_to_cells(empty, occupied, state) - radius_m
@@ -177,9 +188,16 @@ def grown_body(
     pad = max(0.0, float(grid.at(outermost).max()), float(grid.at(q).max()))
     grid = ScalarGrid(grid.origin, step, _fill_cavities(grid.values - np.float32(pad)))
     return MeasuredBody(
-        *(grid, thinned_vertices(grid.mesh(), step), sigmas, float(np.median(margin)), pad),
+        *(grid, thinned_vertices(grid.mesh(), step), sigmas, known_m, pad),
         *(covers, rim_share(mesh), reason),
     )
+
+
+def _empty_space(occupied: Occupancy) -> ScalarGrid:
+    """How deep places are in space that the sky is seen through, beyond the first of its cells [m]."""
+    is_empty = occupied.state == EMPTY
+    depth = distance_transform_edt(is_empty) - distance_transform_edt(~is_empty) - 1.0
+    return ScalarGrid(occupied.origin_G, occupied.step_m, (occupied.step_m * depth).astype(np.float32))
 
 
 def _distance_to_cells(grid: ScalarGrid, occupied: Occupancy, state: int) -> Array:
@@ -217,10 +235,8 @@ def continuous_sigma(surface: SurfaceModel) -> Array:
 
 def rim_share(mesh: trimesh.Trimesh) -> float:
     """Area that open boundaries span, by their vector areas, over the area of the surface."""
-    edges = np.asarray(mesh.edges)
-    key = np.sort(edges, axis=1)
-    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
-    rim = edges[first[count == 1]]
+    unique = mesh.edges_unique_inverse
+    rim = np.asarray(mesh.edges)[np.bincount(unique)[unique] == 1]
     if len(rim) == 0:
         return 0.0
     loops = trimesh.graph.connected_component_labels(rim, node_count=len(mesh.vertices))[rim[:, 0]]

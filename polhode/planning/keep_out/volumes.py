@@ -47,8 +47,10 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Advance, Progress, Silent
 
 Floats = NDArray[np.float32]
-FACTORS = np.array([0.0, 1.5, 2.5, 3.5])
+FACTORS = np.array([1.5, 2.0, 3.0, 5.0, 9.0])
 """Candidates of c; the remaining margin is added uniformly."""
+COARSE_SIGMAS = 5.0
+"""Of the centre of mass, as far as the grid reaches on which c is chosen, and as far as its members do"""
 SURFACE_SHARE = 0.1
 """Of the allowed probability of a miss: the surface's; the pose has the rest."""
 LEAST_STEPS, MAX_STEPS = 50, 4000
@@ -210,7 +212,7 @@ class _Sweep:
         fields = np.full((*shape, len(factors)), more_m + BORDER_CELLS * self.step_m, dtype=np.float32)
         sweep(
             fields, origin, self.step_m, factors, states.R_NG, states.p_NG, self.P[at],
-            grid.values, grid.origin, grid.step_m, body.centre_G, body.radius_m,
+            grid.values, grid.origin, grid.step_m, self.estimate.com_G, _radius_m(body, self.estimate),
         )  # fmt: skip
         return origin, fields
 
@@ -245,29 +247,29 @@ def _swept(
     options: KeepOutOptions,
     advance: Advance,
 ) -> SweptKeepOut:
-    # members in the coarse grid, too, as far as the largest factor grows the body
-    centres = halves[0].p_NG + halves[0].R_NG @ body.centre_G
-    middle = motion.p_NG + motion.R_NG @ body.centre_G
-    tried = list[tuple[float, float, Array, float, float]]()
-    for turning in (P, _without_turn(P, estimate.com_G)):
-        sweep_of = partial(_Sweep, body, estimate, motion, turning, horizon_s=options.horizon_s)
-        far_m = FACTORS[-1] * _spread_m(turning, body.radius_m) + body.radius_m
-        low, high = _box(middle, far_m, centres, body.radius_m)
-        coarse = sweep_of(low, high, COARSE * float((high - low).max()) / options.cells)
-        _, fields = found = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
-        scores = coarse.scores(*found, halves[0])
-        for n, factor in enumerate(FACTORS.tolist()):
-            allowed = max(ScoreTail.of(scores[:, n]).bound(options.pose_miss), -coarse.step_m)
-            volume_m3 = float((fields[..., n] <= allowed).sum()) * coarse.step_m**3
-            tried.append((volume_m3, factor, turning, allowed, max(allowed, float(scores[:, n].max()))))
+    sweep_of = partial(_Sweep, body, estimate, motion, P, horizon_s=options.horizon_s)
+    radius_m = _radius_m(body, estimate)
+    members_N = halves[0].p_NG + halves[0].R_NG @ estimate.com_G
+    far_m = COARSE_SIGMAS * _com_sigma_m(P, estimate) + radius_m
+    low, high = _box(motion.com_N, far_m, members_N, radius_m)
+    coarse = sweep_of(low, high, COARSE * float((high - low).max()) / options.cells)
+    origin, fields = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
+    scores = coarse.scores(origin, fields, halves[0])
+    bounds = np.array([ScoreTail.of(each).bound(options.pose_miss) for each in scores.T])
+    allowed = np.maximum(bounds, -coarse.step_m)
+    sizes = [
+        np.inf if reaches_border(field - np.float32(most)) else (field <= most).sum()
+        for field, most in zip(np.moveaxis(fields, -1, 0), allowed, strict=True)
+    ]
+    best = int(np.argmin(sizes))
     advance()
-    _, factor, turning, allowed, most = min(tried, key=lambda each: each[0])
-    sweep_of = partial(_Sweep, body, estimate, motion, turning, horizon_s=options.horizon_s)
-    far_m = factor * _spread_m(turning, body.radius_m) + body.radius_m + max(allowed, 0.0)
-    low, high = _box(middle, far_m, middle, body.radius_m)
+    most_m = max(float(allowed[best]), 0.0)
+    far_m = FACTORS[best] * _com_sigma_m(P, estimate) + radius_m + most_m
+    low, high = _box(motion.com_N, far_m, motion.com_N, radius_m)
     step = float((high - low).max()) / options.cells
-    fine, more_m = sweep_of(low, high, step), max(1.5 * most, 0.0) + BORDER_CELLS * step
-    factors = np.array([factor])
+    fine = sweep_of(low, high, step)
+    more_m = 1.5 * max(most_m, float(scores[:, best].max())) + BORDER_CELLS * step
+    factors = FACTORS[best : best + 1]
     while True:
         origin, fields = fine.fields(more_m, factors)
         beyond = fine.scores(origin, fields, halves[1])[:, 0]
@@ -279,7 +281,7 @@ def _swept(
             # bounded values: finite slopes at the surface between far cells and near ones
             whole = ScalarGrid(origin, step, np.minimum(level, np.float32(8.0 * step)))
             advance()
-            return SweptKeepOut(whole, factor, added, tail.sigma(options.pose_miss))
+            return SweptKeepOut(whole, float(factors[0]), added, tail.sigma(options.pose_miss))
         more_m = float(np.clip(1.1 * added, 2.0 * more_m, 4.0 * more_m))
 
 
@@ -287,6 +289,17 @@ def _spread_m(P: Array, radius_m: float) -> Array:
     """Uncertainty (T,) [m] of a body with this radius by the covariance of its pose (T, 6, 6)."""
     shift, turn = (np.sqrt(np.trace(part, axis1=1, axis2=2)) for part in (P[:, :3, :3], P[:, 3:, 3:]))
     return np.asarray(shift + radius_m * turn)
+
+
+def _radius_m(body: MeasuredBody, estimate: FinalEstimate) -> float:
+    """Of the sphere about the estimated centre of mass that contains the body."""
+    return float(np.linalg.norm(body.points_G - estimate.com_G, axis=1).max())
+
+
+def _com_sigma_m(P: Array, estimate: FinalEstimate) -> Array:
+    """Uncertainty (T,) [m] of that centre by the covariance of the pose (T, 6, 6)."""
+    J = np.concatenate([np.eye(3), -hat(estimate.com_G)], axis=1)
+    return np.asarray(np.sqrt(np.trace(J @ P @ J.T, axis1=1, axis2=2)))
 
 
 def _box(middle: Array, far_m: Array, others: Array, radius_m: float) -> tuple[Array, Array]:
@@ -297,17 +310,6 @@ def _box(middle: Array, far_m: Array, others: Array, radius_m: float) -> tuple[A
         np.minimum(low.min(axis=0), rest.min(axis=0) - radius_m),
         np.maximum(high.max(axis=0), rest.max(axis=0) + radius_m),
     )
-
-
-def _without_turn(P: Array, com_G: Array) -> Array:
-    """Covariances (T, 6, 6) of the centre of mass alone, as of poses whose rotation is known.
-
-    Errors of the phase hardly change what a turning body sweeps.
-    """
-    J = np.concatenate([np.eye(3), -hat(com_G)], axis=1)
-    out = np.zeros_like(P)
-    out[:, :3, :3] = J @ P @ J.T
-    return out
 
 
 def reaches_border(level: Floats) -> bool:
