@@ -7,7 +7,8 @@ its volume at 99 % is a row of the record, and an interrupted benchmark goes on.
 outer surface move along the true motion after the last pair; those that no frame saw in light count apart.
 The volume is compared with what the true body sweeps under the run's own covariance (``smallest_sweep``), and
 clearances at random places with the true ones. ``--ambiguous``: missions that turn by more than half a
-revolution between pairs at equal intervals; those count whose run has several hypotheses of the rotation.
+revolution between pairs at equal intervals, of which a revolution is stated as the limit; those count whose
+run has several hypotheses of the rotation.
 """
 
 from collections.abc import Sequence
@@ -89,7 +90,8 @@ class Measure:
         number, draw = case["number"], case["draw"]
         flown = ambiguous_mission(number, draw) if case["ambiguous"] else mission(number, draw)
         place = self.folder / f"{draw}{'_ambiguous' if case['ambiguous'] else ''}" / f"{number:03d}"
-        sequence, run = sequence_and_run(flown, place)
+        stated = {"backend.max_rpm": 60.0 / flown.scene.interval_s} if case["ambiguous"] else None
+        sequence, run = sequence_and_run(flown, place, stated)
         if case["ambiguous"] and len(read_summary(run).hypotheses) < 2:
             return {"none": "its rotation is not ambiguous"}
         options = KeepOutOptions(case["horizon_s"], CONFIDENCE)
@@ -198,9 +200,14 @@ def print_totals(lines: Sequence[Case]) -> None:
     if found:
         seen, unseen = (sum(line["swept"][part]["points"] for line in found) for part in ("seen", "unseen"))
         print(f"\nPoints of outer surfaces: {seen} seen in light, {unseen} not")
-        clear, wrong = (sum(line["claims"][key] for line in found) for key in ("clear", "wrong"))
+        clear, wrong, unseen = (
+            sum(line["claims"].get(key, 0) for line in found) for key in ("clear", "wrong", "wrong_of_unseen")
+        )
         most_m = max(line["claims"]["most_over_m"] for line in found)
-        print(f"Claimed clearances: {clear}; {wrong} are too large, by {1e3 * most_m:.2f} mm at most")
+        print(
+            f"Claimed clearances: {clear}; too large {wrong}, and {unseen} by parts that were not seen, by "
+            f"{1e3 * most_m:.2f} mm at most"
+        )
         seconds, sift = (np.array([line[key] for line in found]) for key in ("seconds_cpu", "sift_cpu"))
         print(f"Seconds of the processor: median {np.median(seconds):.1f}, most {max(seconds):.1f}")
         print(f"Over those of one SIFT on the target in all images: median {np.median(seconds / sift):.2f}")

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from scipy.spatial import cKDTree
 
 from lab.missions.smallest_sweep import FINE, Smallest, is_outer, outer_surface, smallest_sweep
 from polhode.frontend.segmentation import target_mask
@@ -130,7 +131,9 @@ def _smallest(
 
 
 def _claims(found: KeepOut, mesh: trimesh.Trimesh, body: TrueBody, seed: int) -> dict[str, Any]:
-    """Clearances at random places and instants: how many are more than there is, and by how much at most."""
+    """Clearances at random places and instants: how many are more than there is, by whether a frame saw the
+    nearest part in light, and by how much at most.
+    """
     rng = np.random.default_rng([seed, 0xC1A])
     low, high = found.swept.mesh.bounds
     more = GROWN * np.linalg.norm(high - low)
@@ -139,16 +142,18 @@ def _claims(found: KeepOut, mesh: trimesh.Trimesh, body: TrueBody, seed: int) ->
     claimed = np.array([
         found.instant.signed_distance(int(k), p[None])[0] for k, p in zip(instants, places, strict=True)
     ])  # fmt: skip
-    true = _true_distance(mesh, np.array([
+    places_G = np.array([
         transform_points(inverse_pose(body.X_NG[k]), p[None])[0]
         for k, p in zip(instants, places, strict=True)
-    ]))  # fmt: skip
+    ])  # fmt: skip
+    true, of_seen = _true_distance(mesh, places_G), body.seen[cKDTree(body.p_G).query(places_G)[1]]
     # a place within the volume is promised no clearance
     over = np.where(claimed > 0.0, claimed - true, 0.0)
     return {
         "count": CLAIMS,
         "clear": int((claimed > 0.0).sum()),
-        "wrong": int((over > LEAST_WRONG_M).sum()),
+        "wrong": int(((over > LEAST_WRONG_M) & of_seen).sum()),
+        "wrong_of_unseen": int(((over > LEAST_WRONG_M) & ~of_seen).sum()),
         "most_over_m": float(max(over.max(), 0.0)),
     }
 

@@ -63,6 +63,12 @@ def test_a_boom_that_stereo_missed_is_outlined_and_the_sky_around_it_is_free() -
     away = np.linalg.norm((outlined - (0.02, 0.01, 0.05))[:, :2], axis=1)
     assert np.median(away) < (module.BLUR_PX + 1.0) * pixel_m + occupied.step_m
     assert occupied.step_m**3 * len(outlined) < 0.2 * BOX.volume
+    # of the cells on a ray those count that most frames agree on
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "SHARE_OF_RAY", 0.0)
+        every = found(BOX, views_of(WHOLE, 20)).centres(OUTLINED)
+    spread = np.linalg.norm((every - (0.02, 0.01, 0.05))[:, :2], axis=1)
+    assert len(outlined) < len(every) and away.max() < spread.max()
     # the same again: nothing is drawn at random
     np.testing.assert_array_equal(found(BOX, views_of(WHOLE, 20)).state, occupied.state)
 
@@ -81,9 +87,7 @@ def test_a_side_that_is_never_lit_stays_possible_within_the_hull() -> None:
     dark = np.array([[x, y, -0.015] for x in (-0.02, 0.0, 0.02) for y in (-0.015, 0.0, 0.015)])
     occupied = found(surface, views, sun_G)
     assert (states(occupied, dark) == POSSIBLE).all()
-    assert (states(occupied, dark - np.array([0.0, 0.0, 0.03])) == FREE).all(), (
-        "beyond the hull, in its shadow"
-    )
+    assert (states(occupied, dark - np.array([0.0, 0.0, 0.03])) == FREE).all(), "beyond the hull"
 
 
 def test_frames_in_shadow_and_masks_that_failed_exclude_and_show_nothing() -> None:

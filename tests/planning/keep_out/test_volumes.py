@@ -13,7 +13,7 @@ from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out, keep_out_of_all
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records.mesh_metrics import encloses
-from polhode.records.occupancy import OUTLINED, POSSIBLE, Occupancy
+from polhode.records.occupancy import EMPTY, FREE, OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import SurfaceModel
 from polhode.runtime.errors import InputError
 from tests.planning.bodies import SIGMA_M, ball, box, estimate, measured
@@ -112,6 +112,35 @@ def test_a_volume_is_closed_and_never_claims_more_clearance_than_there_is(seed: 
     claimed = found.signed_distance(points)
     assert (claimed <= exact + 1e-9).all()
     np.testing.assert_allclose(claimed, exact, rtol=0.02, atol=0.1 * found.level.step_m)
+
+
+def test_a_body_whose_attitude_is_unknown_stays_in_its_sphere() -> None:
+    target = estimate((0.0, 0.3, 0.1), size=1e-3)
+    sigma = np.sqrt(np.diag(target.last.covariance))
+    sigma[6:9] = 1.5
+    unknown = replace(target, last=replace(target.last, covariance=np.diag(sigma**2)))
+    found = keep_out(box(0.02), unknown, quick(5.0, 40))
+    most = np.linalg.norm(found.swept.mesh.vertices - target.last.r_N, axis=1).max()
+    radius = np.linalg.norm(found.body.points_G, axis=1).max()
+    assert radius < most + found.swept.level.step_m and most < radius + 2.0 * found.swept.level.step_m
+
+
+def test_an_uncertain_surface_grows_no_farther_than_the_sky_is_seen_and_one_unknown_is_refused() -> None:
+    surface = ball()
+    V = np.asarray(surface.mesh.vertices)
+    vague = replace(surface, sigma_m=np.where(V[:, 2] > 0.0, 0.01, SIGMA_M))
+    corner, step_m = np.full(3, -0.2), 0.005
+    centres = np.stack(np.meshgrid(*[corner[0] + step_m * np.arange(81)] * 3, indexing="ij"), -1)
+    beyond = np.linalg.norm(centres, axis=-1) > 0.11
+    occupied = Occupancy(corner, step_m, np.where(beyond, EMPTY, FREE).astype(np.uint8))
+    places = np.array([[0.0, 0.0, z] for z in (0.113, 0.119, 0.125)])
+    grown = grown_body(vague, 0.01).grid.at(places)
+    cut = grown_body(vague, 0.01, occupied=occupied).grid.at(places)
+    assert (grown < 0.0).all()
+    # two sigmas remain
+    assert cut[0] < 0.0 and cut[1] < 0.0 and cut[2] > 0.0
+    with pytest.raises(InputError, match=r"known to within .* m only: no keep-out volume"):
+        grown_body(measured(surface.mesh, 1.0), 0.01)
 
 
 def test_less_is_known_more_is_kept_out() -> None:
