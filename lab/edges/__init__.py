@@ -4,6 +4,5 @@ In: bodies, poses, Suns. Out: tables. README.md beside this file has what they g
 
     expected_errors       errors of tracked poses against those that were expected before there was an image
     observability_of_run  the metric from a run's mesh against that from the true mesh
-    observability_speed   milliseconds a view
     trials, views         bodies, images, poses and starts
 """

@@ -1,1 +1,1 @@
-"""Live and long sequences, and the stages of a run: latency, time, memory."""
+"""Live and long sequences: latency, time, memory."""
