@@ -174,10 +174,8 @@ def grown_body(
         reason[_grown_distance(empty, q[few], normal[few], m[few]).reshape(shape) < 2.0 * step] = MEASURED
         outermost = np.concatenate([outermost, centres])
     else:
-        values = _grown_distance(empty, q[few], normal[few], m[few])
-        if cut is not None:
-            least = _grown_distance(empty, q[few], normal[few], certain * m[few])
-            values = np.maximum(values, np.minimum(cut.at(empty.corners()), least))
+        not_beyond = None if cut is None else (cut, certain)
+        values = _grown_distance(empty, q[few], normal[few], m[few], not_beyond)
         for state in STATES[covers]:
             assert occupied is not None
             to_cells = _distance_to_cells(empty, occupied, state) - radius_m
@@ -252,7 +250,8 @@ def sample_surface(mesh: trimesh.Trimesh, margin: Array, spacing_m: float) -> tu
 
     Vertices, and on faces that are larger a lattice.
     """
-    V, F, N = np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
+    V, F = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    N = trimesh.geometry.mean_vertex_normals(len(V), F, mesh.face_normals)
     corner = V[F]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     divisions = np.ceil(longest / spacing_m).astype(int)
@@ -286,8 +285,16 @@ def _thinned(q: Array, margin: Array, cell_m: float) -> NDArray[np.int64]:
     return np.sort(order[first])
 
 
-def _grown_distance(grid: ScalarGrid, q: Array, normal: Array, margin: Array) -> Array:
-    """Minimum of distance minus margin over the points, negative inside (cells,)."""
+def _grown_distance(
+    grid: ScalarGrid,
+    q: Array,
+    normal: Array,
+    margin: Array,
+    not_beyond: tuple[ScalarGrid, float] | None = None,
+) -> Array:
+    """Minimum of distance minus margin over the points, negative inside (cells,); of the margin only a share
+    is added where a field is above 0.
+    """
     corners, shape = grid.corners(), grid.values.shape
     nearest = closest(grid.origin, grid.step_m, shape, q, np.zeros(len(q))).reshape(-1)
     grown = closest(grid.origin, grid.step_m, shape, q, margin).reshape(-1)
@@ -296,7 +303,12 @@ def _grown_distance(grid: ScalarGrid, q: Array, normal: Array, margin: Array) ->
     inside = cavities(distance.reshape(shape) - 0.5 * grid.step_m).reshape(-1)
     behind = np.einsum("ij,ij->i", corners - q[nearest], normal[nearest]) < 0.0
     inside |= behind & (distance <= 0.87 * grid.step_m)
-    out = np.linalg.norm(corners - q[grown], axis=1) - margin[grown]
+    to_grown = np.linalg.norm(corners - q[grown], axis=1)
+    out = to_grown - margin[grown]
+    if not_beyond is not None:
+        cut, share = not_beyond
+        least = np.minimum(distance - share * margin[nearest], to_grown - share * margin[grown])
+        out = np.maximum(out, np.minimum(cut.at(corners), least))
     return np.asarray(np.where(inside, np.minimum(out, -distance - margin[nearest]), out))
 
 

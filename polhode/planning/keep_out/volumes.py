@@ -83,7 +83,7 @@ class KeepOutOptions:
     confidence: float
     members: int | None = None
     """None: as many as the confidence is worth"""
-    cells: int = 48
+    cells: int = 36
     """along the longest side of the swept space"""
     cover: Cover = "auto"
     seed: int = 0
