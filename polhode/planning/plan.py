@@ -38,7 +38,7 @@ from polhode.runtime.errors import InputError
 from polhode.runtime.progress import NOTE, Progress
 
 MOST_CONFIDENT = 0.9999
-FIRST_S, MEMBER_S = 4.0, 1.2e-5
+FIRST_S, MEMBER_S = 3.0, 8e-6
 """Cost of a volume on one core, and what each motion adds at each instant [s]"""
 COVERED = {
     "possible": "Keep-out applies to the measured surface with all that it encloses, to what the outlines of "

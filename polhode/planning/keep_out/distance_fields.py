@@ -154,6 +154,34 @@ def grown_distances(
 
 
 @compiled_ieee
+def nearest_with_sigma(points: Array, P: Array, p_G: Array, factor: float) -> tuple[Array, Array]:
+    """The least of distance minus c sigma (n,) of places (n, 3) from a body's points (m, 3), and the unit
+    vectors (n, 3) away from that point.
+
+    A point that is farther away than another may come nearest, by its sigma along the line to
+    the place; P (n, 6, 6).
+    """
+    least, away, arm = np.full(len(p_G), np.inf), np.zeros((len(p_G), 3)), np.empty(6)
+    for n in range(len(p_G)):
+        for m in range(len(points)):
+            q = points[m]
+            line = p_G[n] - q
+            distance = np.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2)
+            u = line / max(distance, 1e-12)
+            arm[:3] = u
+            arm[3], arm[4] = q[1] * u[2] - q[2] * u[1], q[2] * u[0] - q[0] * u[2]
+            arm[5] = q[0] * u[1] - q[1] * u[0]
+            variance = 0.0
+            for i in range(6):
+                for j in range(6):
+                    variance += arm[i] * P[n, i, j] * arm[j]
+            value = distance - factor * np.sqrt(max(variance, 0.0))
+            if value < least[n]:
+                least[n], away[n] = value, u
+    return least, away
+
+
+@compiled_ieee
 def reasons_of(
     places: Array, R: Array, p: Array, values: Floats, origin: Array, step: float, reason: NDArray[np.uint8]
 ) -> tuple[NDArray[np.uint8], Array]:

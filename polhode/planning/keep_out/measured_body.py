@@ -10,6 +10,7 @@ event more likely (Slepian's inequality, Bell Syst. Tech. J. 41, 1962).
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -47,6 +48,8 @@ MOST_GROWTH = 2.5
 """Of the grid by the margins, over the size of the body, without larger cells"""
 HALF_DIAGONAL = 0.5 * 3.0**0.5
 """Of a cell, over its edge"""
+SPARSE_CELLS = 4.0
+"""Distance of points of the surface on which errors of the pose are looked at"""
 CHUNK = 500
 """Points at a time, which fit into the processor's cache."""
 PLANES = 600
@@ -101,6 +104,11 @@ class MeasuredBody:
     """area that open boundaries span, over the area of the surface"""
     reason: NDArray[np.uint8]
     """(nx, ny, nz) which of REASONS the place of the body nearest to a corner of the grid belongs to"""
+
+    @cached_property
+    def sparse_points_G(self) -> Array:
+        """(m, 3) some of them, that stand for the others where errors of the pose are looked at"""
+        return thinned_vertices(trimesh.Trimesh(self.points_G), SPARSE_CELLS * self.grid.step_m)
 
     @property
     def radius_m(self) -> float:

@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from polhode.geometry.lie import Array, Bools, exp_so3, log_so3, transform_points
-from polhode.planning.keep_out.distance_fields import grown_distances, nearest_approach, reasons_of
+from polhode.planning.keep_out.distance_fields import (
+    grown_distances,
+    nearest_approach,
+    nearest_with_sigma,
+    reasons_of,
+)
 from polhode.planning.keep_out.measured_body import MeasuredBody, ScalarGrid, sample_surface
 from polhode.planning.keep_out.score_tail import ScoreTail
 from polhode.planning.keep_out.small_triangles import SmallTriangles
@@ -189,8 +194,13 @@ class InstantKeepOut:
         near = exact <= BEYOND_CELLS * grid.step_m
         distance[outside] = np.where(near, np.minimum(distance[outside], exact), exact)
         gradient_G[outside[~near]] = outwards[~near]
-        margin_m = self.factor * sigma + self.added_m + self._between_m
-        return Clearance(distance - margin_m, np.einsum("nij,nj->ni", R, gradient_G))
+        distance -= self.factor * sigma + self.added_m + self._between_m
+        outside = np.flatnonzero(distance > 0.0)
+        least, away = nearest_with_sigma(self.body.sparse_points_G, P[outside], p_G[outside], self.factor)
+        least = np.maximum(least - self.added_m - self._between_m, 0.0)
+        other = least < distance[outside]
+        distance[outside[other]], gradient_G[outside[other]] = least[other], away[other]
+        return Clearance(distance, np.einsum("nij,nj->ni", R, gradient_G))
 
     def _at(self, time: Array) -> tuple[Array, Array, Array]:
         """Attitude (n, 3, 3), position (n, 3) and covariance (n, 6, 6), linear between the instants."""

@@ -62,7 +62,6 @@ MEMBER_ROTATION_RAD = 0.05
 BAND_SIGMAS = 3.0
 PARTS_OF_HORIZON = 6
 """Errors change slowly: of the points in a cell, one represents the others in each part of the horizon."""
-INSTANT_POINTS_CELLS = 4.0
 BORDER_CELLS = 4.0
 COARSE = 2.0
 """Edge of the cells on which c is chosen, over that of the others"""
@@ -164,7 +163,7 @@ def _instant(
 ) -> InstantKeepOut:
     chosen = np.unique(np.linspace(0, len(motion.time_s) - 1, MAX_INSTANTS).round().astype(int))
     grid = body.grid
-    points = thinned_vertices(trimesh.Trimesh(body.points_G), INSTANT_POINTS_CELLS * grid.step_m)
+    points = body.sparse_points_G
 
     def scores(part: Ensemble, factors: Array) -> Array:
         R, p = np.ascontiguousarray(part.R_NG[:, chosen]), np.ascontiguousarray(part.p_NG[:, chosen])

@@ -1,6 +1,7 @@
 """What a planner asks of the keep-out volume, against closed forms, SciPy and other programs."""
 
 import io
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -8,12 +9,13 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from polhode.geometry.lie import exp_so3
 from polhode.planning.keep_out.queries import KeepOut, surface_points
 from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out, keep_out_of_all
 from polhode.planning.plan_files import field_npz, volume_files
 from polhode.planning.prediction import nominal_motion
 from polhode.runtime.errors import InputError
-from tests.planning.bodies import ball, box, estimate
+from tests.planning.bodies import ball, box, estimate, measured
 
 CENTRE_N = np.array([0.1, 0.0, 0.6])
 """Of the body at the start"""
@@ -45,6 +47,27 @@ def test_clearance_at_times_follows_the_ball(drifting: KeepOut) -> None:
     swept = drifting.clearance(p_N)
     assert (swept.distance_m[~drifting.contains(p_N)] > 0.0).all()
     assert not drifting.contains(p_N, time)[~drifting.contains(p_N)].any()
+
+
+def test_a_part_that_is_farther_away_but_less_certain_bounds_the_clearance() -> None:
+    """Beside the hub of a body that turns by uncertain angles about z, before the tip of its wing."""
+    hub = trimesh.creation.box((0.1, 0.1, 0.1)).subdivide_to_size(0.02)
+    wing = trimesh.creation.box((0.2, 0.04, 0.04)).subdivide_to_size(0.02)
+    wing.apply_translation((0.5, 0.3, 0.0))
+    target = estimate((0.0, 0.0, 0.01), size=1e-3)
+    sigma = np.sqrt(np.diag(target.last.covariance))
+    sigma[8] = 0.2
+    turning = replace(target, last=replace(target.last, covariance=np.diag(sigma**2)))
+    found = keep_out(measured(hub + wing), turning, KeepOutOptions(1.0, 0.97, members=200, cells=24)).instant
+    R, p = turning.last.R_NG, turning.last.r_N
+    place_G = np.array([[0.0, 0.5, 0.0]])
+    claimed = float(found.signed_distance(0, place_G @ R.T + p)[0])
+    tips = [
+        trimesh.proximity.closest_point_naive(wing, place_G @ exp_so3([0.0, 0.0, angle]))[1][0]
+        for angle in np.random.default_rng(3).normal(0.0, 0.2, 300)
+    ]
+    # the hub is at 0.45 m
+    assert 0.2 < claimed < np.quantile(tips, 0.05) < 0.4
 
 
 def test_the_gradient_is_the_derivative_of_the_distance(drifting: KeepOut) -> None:
