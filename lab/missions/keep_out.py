@@ -201,7 +201,7 @@ def print_totals(lines: Sequence[Case]) -> None:
         seen, unseen = (sum(line["swept"][part]["points"] for line in found) for part in ("seen", "unseen"))
         print(f"\nPoints of outer surfaces: {seen} seen in light, {unseen} not")
         clear, wrong, unseen = (
-            sum(line["claims"].get(key, 0) for line in found) for key in ("clear", "wrong", "wrong_of_unseen")
+            sum(line["claims"][key] for line in found) for key in ("clear", "wrong", "wrong_of_unseen")
         )
         most_m = max(line["claims"]["most_over_m"] for line in found)
         print(
@@ -211,11 +211,10 @@ def print_totals(lines: Sequence[Case]) -> None:
         seconds, sift = (np.array([line[key] for line in found]) for key in ("seconds_cpu", "sift_cpu"))
         print(f"Seconds of the processor: median {np.median(seconds):.1f}, most {max(seconds):.1f}")
         print(f"Over those of one SIFT on the target in all images: median {np.median(seconds / sift):.2f}")
-        ratios = [line["ratio_to_union"] for line in found]
-        print(
-            f"Over the union of members, which others leave more often than allowed: {np.median(ratios):.2f}"
+        ratio, leaving = (
+            np.median([line[key] for line in found]) for key in ("ratio_to_union", "leaving_union")
         )
-        print(f"Edges of surfaces without two faces: {sum(line['open_edges'] for line in found)}")
+        print(f"Over the members' union, which {leaving:.1%} of further members leave: {ratio:.2f} (medians)")
     for line in lines:
         if "none" in line:
             print(f"Mission {line['case']['number']} has no volume: {line['none']}")

@@ -61,6 +61,7 @@ def keep_out_judgement(run: Path, sequence: Path, options: KeepOutOptions, seed:
         "smallest_m3": smallest.volume_m3,
         "ratio": found.swept.volume_m3 / smallest.volume_m3,
         "ratio_to_union": found.swept.volume_m3 / smallest.union_m3,
+        "leaving_union": smallest.leaving,
         "claims": _claims(found, mesh, body, seed),
         "judging_cpu": round(process_time() - start_s - seconds, 2),
     }
@@ -114,10 +115,8 @@ def _parts(excess: Excess, outer: Bools, size_m: float) -> dict[str, Any]:
 
 
 def _surface(mesh: trimesh.Trimesh) -> dict[str, Any]:
-    """Whether the surface is closed, and how many edges do not have two faces."""
-    count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)[1]
-    closed = bool(mesh.is_watertight and mesh.is_winding_consistent)
-    return {"watertight": closed, "open_edges": int((count != 2).sum())}
+    """Whether the surface is closed."""
+    return {"watertight": bool(mesh.is_watertight and mesh.is_winding_consistent)}
 
 
 def _smallest(

@@ -2,10 +2,10 @@
 
 The true body is fixed in the run's G at the last pair. Members are drawn from the covariance of the run;
 those that leave the estimated motion farthest are dropped, as many as the confidence allows. What the outer
-surface of the body sweeps by all others, with all that it encloses, is counted in cells. This union is no
-volume at that confidence: a third of further draws leave that of 400 on some missions, a tenth that of 1,600.
-So it is grown by what keeps the stated share of further draws inside, no more. Nothing is added for the
-surface, which a run does not know exactly, nor for the few draws by which it knows the tail.
+surface of the body sweeps by all others, with all that it encloses, is counted in cells. Further draws leave
+this union more often than the confidence allows, so it is grown by what keeps the stated share of them
+inside, no more. Nothing is added for the surface, which a run does not know exactly, nor for the few draws by
+which it knows the tail.
 """
 
 from collections.abc import Sequence
@@ -58,7 +58,9 @@ class Smallest:
     """Sizes [m^3] of what the true body sweeps."""
 
     union_m3: float
-    """of the members' union, which further members leave more often than allowed"""
+    """of the members' union"""
+    leaving: float
+    """share of further members that leave it by more than a cell"""
     volume_m3: float
     """of that union, grown until they do not"""
 
@@ -84,13 +86,15 @@ def smallest_sweep(
     times = np.linspace(horizon_s / INSTANTS, horizon_s, INSTANTS)
     few = thinned_vertices(trimesh.Trimesh(outer_G, process=False), step_m)
     distance = _signed_distance(whole, step_m).astype(np.float32)
-    grown_m = max(
-        _grown_m(distance, origin, step_m, nominal_motion(each, times), few, confidence,
-                 draw_ensemble(each, times, FURTHER, SEED + 1))
+    beyond_m = [
+        _beyond_m(distance, origin, step_m, nominal_motion(each, times), few,
+                  draw_ensemble(each, times, FURTHER, SEED + 1))
         for each in estimates
-    )  # fmt: skip
+    ]  # fmt: skip
+    grown_m = max(np.sort(each)[int(np.ceil(confidence * (FURTHER + 1))) - 1] for each in beyond_m)
     border = max(int(np.ceil(grown_m / step_m)), 0) + 1
-    return Smallest(_size_m3(whole, step_m), _size_m3(np.pad(whole, border), step_m, grown_m))
+    leaving = float(max((each > step_m).mean() for each in beyond_m))
+    return Smallest(_size_m3(whole, step_m), leaving, _size_m3(np.pad(whole, border), step_m, grown_m))
 
 
 def _signed_distance(cells: Cells, step_m: float) -> Array:
@@ -105,17 +109,16 @@ def _size_m3(cells: Cells, step_m: float, grown_m: float = 0.0) -> float:
     return float(np.clip(0.5 - beyond, 0.0, 1.0).sum() * step_m**3)
 
 
-def _grown_m(
-    distance: Floats, origin: Array, step_m: float, motion: BodyMotion, points_G: Array, confidence: float,
-    further: Ensemble,
-) -> float:  # fmt: skip
-    """By how much a volume, given by its distance, must grow to contain the stated share of members."""
+def _beyond_m(
+    distance: Floats, origin: Array, step_m: float, motion: BodyMotion, points_G: Array, further: Ensemble
+) -> Array:
+    """How far members (n,) come out of a volume that is given by its distance."""
     R, p = np.ascontiguousarray(motion.R_NG), np.ascontiguousarray(motion.p_NG)
     band_m = np.full(len(p), np.inf)
     corner = origin + 0.5 * step_m
     pairs = outermost_pairs(distance, corner, step_m, R, p, points_G, band_m, PARTS)
-    beyond = protrusion(distance[..., None], corner, step_m, further.R_NG, further.p_NG, pairs, points_G)
-    return float(np.sort(beyond[:, 0])[int(np.ceil(confidence * (len(beyond) + 1))) - 1])
+    found = protrusion(distance[..., None], corner, step_m, further.R_NG, further.p_NG, pairs, points_G)
+    return np.asarray(found[:, 0])
 
 
 def outer_surface(mesh: trimesh.Trimesh, spacing_m: float) -> Array:
