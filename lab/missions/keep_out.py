@@ -211,9 +211,8 @@ def print_totals(lines: Sequence[Case]) -> None:
         seconds, sift = (np.array([line[key] for line in found]) for key in ("seconds_cpu", "sift_cpu"))
         print(f"Seconds of the processor: median {np.median(seconds):.1f}, most {max(seconds):.1f}")
         print(f"Over those of one SIFT on the target in all images: median {np.median(seconds / sift):.2f}")
-        ratio, leaving = (
-            np.median([line[key] for line in found]) for key in ("ratio_to_union", "leaving_union")
-        )
+        of_union = ("ratio_to_union", "leaving_union")
+        ratio, leaving = (np.median([line[key] for line in found]) for key in of_union)
         print(f"Over the members' union, which {leaving:.1%} of further members leave: {ratio:.2f} (medians)")
     for line in lines:
         if "none" in line:
