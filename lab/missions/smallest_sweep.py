@@ -33,8 +33,10 @@ from polhode.planning.prediction import (
 from polhode.records.mesh_metrics import sample_surface
 from polhode.runtime.compiled import compiled_ieee
 
-DRAWS, FURTHER, SEED = 1600, 1000, 1000
-"""Members of the union, and those that must stay inside; planning draws its own by other seeds"""
+DRAWS, POSES = (400, 1600), 1_600_000
+"""Members of the union, at least and at most, and their poses, if more are not needed for the least"""
+FURTHER, SEED = 1000, 1000
+"""Members that must stay inside; planning draws its own by other seeds"""
 INSTANTS, PARTS = 200, 6
 """At which further members are looked at, and of the horizon, for each of which a cell keeps a point"""
 SIDE_CELLS = 400
@@ -161,7 +163,8 @@ class _Members:
         radius_m = float(np.linalg.norm(points_G - estimate.com_G, axis=1).max())
         times = fine_times(coarse, radius_m, np.full(len(coarse.time_s), step_m), horizon_s)[1:]
         motion = nominal_motion(estimate, times)
-        members = draw_ensemble(estimate, times, DRAWS, SEED)
+        draws = int(np.clip(POSES // len(times), *DRAWS))
+        members = draw_ensemble(estimate, times, draws, SEED)
         corners = trimesh.bounds.corners(np.array([points_G.min(axis=0), points_G.max(axis=0)]))
         at = motion.R_NG @ corners.T + motion.p_NG[..., None]
         # no point of the box is farther from its place than the farthest corner
@@ -171,7 +174,7 @@ class _Members:
         ])  # fmt: skip
         usual = np.maximum(np.sqrt(np.mean(away**2, axis=0)), 1e-12)
         rank = np.argsort((away / usual).max(axis=(1, 2)))
-        kept = np.sort(rank[: round(confidence * DRAWS)])
+        kept = np.sort(rank[: round(confidence * draws)])
         chosen = Ensemble(members.R_NG[kept], members.p_NG[kept])
         return cls(points_G, Ensemble(motion.R_NG[None], motion.p_NG[None]), chosen, away[kept].max(axis=2))
 
