@@ -41,6 +41,8 @@ BEYOND_MOST = 1.2
 """Half a side of the grid over the farthest that three quarters of the outlines reach"""
 BLUR_PX = 2.5
 """Distance from an outline within which a pixel says nothing"""
+EVERY_PX = 2
+"""Pixels on which rays are cast to the model"""
 ABOVE_SKY = 5.0
 """Intensity over the sky's at which a pixel is no sky [8-bit levels]"""
 DEPTH_SIGMAS = 3.0
@@ -55,7 +57,8 @@ LEAST_SPREAD = 0.08
 DIRECTIONS, WITHIN_SHARE = 300, 0.15
 LEAST_LIT = 0.25
 """Share of the visible model that must be in light where the sky is to tell that nothing is there"""
-PASSES = 3
+PASSES, SETTLED = 3, 0.01
+"""Over all frames, at most; and the share of the open cells below which one has closed too few for another"""
 SHADOW_PX, SHADOW_CELLS = 160, 1.5
 LEAST_CELLS, ATTACHED_CELLS = 8, 2.0
 """Of a piece of outlined cells; and its distance from the surface, unless rays tell where it is"""
@@ -102,9 +105,12 @@ def occupancy_of(
     middle = origin + 0.5 * step_m * cells
     suns = [np.zeros(3) if sun_N is None else sun_in_G(view, sun_N) for view in views]
     for _ in range(PASSES):
+        before = open_.sum()
         for n, (sun, picture) in enumerate(zip(suns, pictures, strict=True)):
             bit = np.uint64(1) << np.uint64(n)
             _carve(excluded, open_, cell, origin, step_m, middle, bit, sun, thin, True, *picture.parts)
+        if before - open_.sum() < SETTLED * before:
+            break
     left = cell[open_]
     possible = left[state[tuple(left.T)] == FREE]
     state[tuple(possible.T)] = POSSIBLE
@@ -198,8 +204,11 @@ class _Picture:
         rows, columns = slice(view.v0, view.v0 + height), slice(view.u0, view.u0 + width)
         measured = depth.depth_m[rows, columns]
         sigma = np.float32(DEPTH_SIGMAS) * depth.sigma_m[rows, columns]
-        model = viewer.perspective(rig, view.X_RG, view.u0 + np.arange(width), view.v0 + np.arange(height))
-        nearest = np.fmin(measured + sigma, model.depth_m.astype(np.float32))
+        # of every other pixel, which is less than the blur
+        u, v = (np.arange(0.5 * (EVERY_PX - 1), size, EVERY_PX) for size in (width, height))
+        few = viewer.perspective(rig, view.X_RG, view.u0 + u, view.v0 + v).depth_m.astype(np.float32)
+        model_m = few.repeat(EVERY_PX, axis=0).repeat(EVERY_PX, axis=1)[:height, :width]
+        nearest = np.fmin(measured + sigma, model_m)
         self.behind_m = np.where(np.isfinite(nearest), nearest, np.float32(np.inf))
         """Depth beyond which nothing is seen"""
         before = np.where(np.isfinite(measured), measured - sigma, np.float32(-np.inf))
@@ -208,7 +217,7 @@ class _Picture:
         sky_level = view.lit_above - 12.0
         shows = view.silhouette | (view.smooth > sky_level + ABOVE_SKY)
         kind = np.full(view.image.shape, NOTHING, dtype=np.uint8)
-        hit = np.isfinite(model.depth_m)
+        hit = np.isfinite(model_m)
         is_lit = (hit & shows).sum() >= LEAST_LIT * hit.sum()
         if is_lit:
             kind[_far_from(shows)] = SKY
