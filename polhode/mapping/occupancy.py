@@ -17,6 +17,7 @@ where two frames show the sky although the Sun reaches it: however uncertain, th
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -46,8 +47,8 @@ EVERY_PX = 2
 ABOVE_SKY = 5.0
 """Intensity over the sky's at which a pixel is no sky [8-bit levels]"""
 DEPTH_SIGMAS = 3.0
-LEAST_SHOWN, LEAST_FREE = 3, 2
-"""Frames that make a cell outlined, or free"""
+LEAST_SHOWN = 3
+"""Frames that make a cell outlined; two exclude it"""
 SHARE_SHOWN = 0.3
 """Of the frames that say something, those that show an outlined cell"""
 SHARE_OF_RAY = 0.6
@@ -81,46 +82,81 @@ def occupancy_of(
         raise ValueError("no frames")
     viewer, vertices = MeshViewer(mesh), np.asarray(mesh.vertices, dtype=np.float64)
     pictures = [_Picture(*each, viewer, rig) for each in zip(views, depths, strict=True)]
-    origin, step_m, cells = _grid(mesh, pictures)
-    shown, free = (np.zeros((cells, cells, cells), dtype=np.uint16) for _ in range(2))
-    from_ = np.zeros((cells, cells, cells, 3), dtype=np.float32)
+    grid = _grid(mesh, pictures)
+    # what lies within a cell stands for the rest of the surface
+    thin = grid.centres(np.unique(np.rint((vertices - grid.origin_G) / grid.step_m), axis=0))
+    outlined = _outlined(grid, pictures, thin)
+    state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
+    cell = _inside_hull(np.concatenate([thin, grid.centres(np.argwhere(outlined))]), grid)
+    suns_G = [np.zeros(3) if sun_N is None else sun_in_G(view, sun_N) for view in views]
+    left = cell[_stay_open(cell, grid, pictures, suns_G, thin, True)]
+    possible = left[state[tuple(left.T)] == FREE]
+    state[tuple(possible.T)] = POSSIBLE
+    rest, opaque = np.argwhere(state == FREE), np.concatenate([thin, grid.centres(left)])
+    empty = rest[~_stay_open(rest, grid, pictures, suns_G, opaque, False)]
+    state[tuple(empty.T)] = EMPTY
+    return Occupancy(grid.origin_G, grid.step_m, state)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A cube of cells."""
+
+    origin_G: Array
+    """(3,) centre of the first cell [m]"""
+    step_m: float
+    cells: int
+    """along a side"""
+
+    def centres(self, cell: Array | Ints) -> Array:
+        """(n, 3) in G [m] of cells (n, 3)."""
+        return np.asarray(self.origin_G + self.step_m * cell)
+
+
+def _outlined(grid: _Grid, pictures: Sequence["_Picture"], surface_G: Array) -> Bools:
+    """The cells that several frames show beside the surface (n, 3)."""
+    shape = (grid.cells, grid.cells, grid.cells)
+    shown, free = (np.zeros(shape, dtype=np.uint16) for _ in range(2))
+    from_ = np.zeros((*shape, 3), dtype=np.float32)
     for picture in pictures:
-        _count(shown, free, from_, origin, step_m, picture.eye_G, *picture.parts)
+        _count(shown, free, from_, grid.origin_G, grid.step_m, picture.eye_G, *picture.parts)
     share = (shown / np.maximum(shown + free, 1)).astype(np.float32)
     outlined = (shown >= LEAST_SHOWN) & (share >= SHARE_SHOWN)
-    outlined[outlined] = _explains(origin + step_m * np.argwhere(outlined), share[outlined], step_m, pictures)
-    # what lies within a cell stands for the rest of the surface
-    thin = origin + step_m * np.unique(np.rint((vertices - origin) / step_m), axis=0)
-    places = origin + step_m * np.argwhere(outlined)
-    located, between = _located(places, from_[outlined], shown[outlined], thin)
-    attached = located | (cKDTree(thin).query(places)[0] <= ATTACHED_CELLS * step_m)
+    outlined[outlined] = _explains(
+        grid.centres(np.argwhere(outlined)), share[outlined], grid.step_m, pictures
+    )
+    places_G = grid.centres(np.argwhere(outlined))
+    located, between = _located(places_G, from_[outlined], shown[outlined], surface_G)
+    attached = located | (cKDTree(surface_G).query(places_G)[0] <= ATTACHED_CELLS * grid.step_m)
     outlined[outlined], attached = located | between, attached[located | between]
     pieces = label(outlined, np.ones((3, 3, 3)))[0][outlined]
     of_piece = (np.bincount(pieces) >= LEAST_CELLS) & (np.bincount(pieces, attached) > 0)
     outlined[outlined] = of_piece[pieces]
-    state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
-    known = np.concatenate([thin, origin + step_m * np.argwhere(outlined)])
-    cell = _inside_hull(known, origin, step_m, cells)
+    return np.asarray(outlined)
+
+
+def _stay_open(
+    cell: Ints,
+    grid: _Grid,
+    pictures: Sequence["_Picture"],
+    suns_G: Sequence[Array],
+    opaque_G: Array,
+    is_first: bool,
+) -> Bools:
+    """(m,) whether no two frames exclude the cells (m, 3); as ``_carve``, at first in several passes."""
     excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
-    middle = origin + 0.5 * step_m * cells
-    suns = [np.zeros(3) if sun_N is None else sun_in_G(view, sun_N) for view in views]
-    for _ in range(PASSES):
+    middle = grid.origin_G + 0.5 * grid.step_m * grid.cells
+    for _ in range(PASSES if is_first else 1):
         before = open_.sum()
-        for n, (sun, picture) in enumerate(zip(suns, pictures, strict=True)):
+        for n, (sun, picture) in enumerate(zip(suns_G, pictures, strict=True)):
             bit = np.uint64(1) << np.uint64(n)
-            _carve(excluded, open_, cell, origin, step_m, middle, bit, sun, thin, True, *picture.parts)
+            _carve(
+                excluded, open_, cell, grid.origin_G, grid.step_m, middle, bit, sun, opaque_G, is_first,
+                *picture.parts,
+            )  # fmt: skip
         if before - open_.sum() < SETTLED * before:
             break
-    left = cell[open_]
-    possible = left[state[tuple(left.T)] == FREE]
-    state[tuple(possible.T)] = POSSIBLE
-    cell, known = np.argwhere(state == FREE), np.concatenate([thin, origin + step_m * left])
-    excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
-    for n, (sun, picture) in enumerate(zip(suns, pictures, strict=True)):
-        bit = np.uint64(1) << np.uint64(n)
-        _carve(excluded, open_, cell, origin, step_m, middle, bit, sun, known, False, *picture.parts)
-    state[tuple(cell[~open_].T)] = EMPTY
-    return Occupancy(origin, step_m, state)
+    return open_
 
 
 def _explains(p_G: Array, share: Floats, step_m: float, pictures: Sequence["_Picture"]) -> Bools:
@@ -151,7 +187,7 @@ def _located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> tuple
     return 1.0 - length / shown >= LEAST_SPREAD, between
 
 
-def _inside_hull(points: Array, origin: Array, step_m: float, cells: int) -> Ints:
+def _inside_hull(points: Array, grid: _Grid) -> Ints:
     """(m, 3) cells in planes around the convex hull of cells at points; none where these are in a plane."""
     try:
         normals = ConvexHull(points).equations[:, :3]
@@ -159,8 +195,8 @@ def _inside_hull(points: Array, origin: Array, step_m: float, cells: int) -> Int
         return np.zeros((0, 3), dtype=np.int64)
     # of many planes those in different directions
     normals = np.unique(np.round(normals, 1), axis=0)
-    reach = (points @ normals.T).max(axis=0) + 0.5 * step_m * np.abs(normals).sum(axis=1)
-    return np.argwhere(_within(normals, reach, origin, step_m, cells))
+    reach = (points @ normals.T).max(axis=0) + 0.5 * grid.step_m * np.abs(normals).sum(axis=1)
+    return np.argwhere(_within(normals, reach, grid.origin_G, grid.step_m, grid.cells))
 
 
 @compiled_ieee
@@ -179,8 +215,8 @@ def _within(normals: Array, reach: Array, origin: Array, step: float, cells: int
     return inside
 
 
-def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array, float, int]:
-    """Centre of the first cell, edge of a cell [m], number along a side: a cube about most outlines.
+def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> _Grid:
+    """A cube about most outlines.
 
     A frame whose outline goes far beyond the others' has failed masks: it shows no matter.
     """
@@ -193,7 +229,7 @@ def _grid(mesh: trimesh.Trimesh, pictures: Sequence["_Picture"]) -> tuple[Array,
             picture.kind[picture.kind == TARGET] = NOTHING
     pixel_m = min(picture.pixel_m(middle) for picture in pictures)
     cells = int(np.clip(np.ceil(2.0 * half_m / pixel_m), LEAST_CELLS_ALONG, MOST_CELLS_ALONG))
-    return middle - half_m, 2.0 * half_m / (cells - 1), cells
+    return _Grid(middle - half_m, 2.0 * half_m / (cells - 1), cells)
 
 
 class _Picture:
