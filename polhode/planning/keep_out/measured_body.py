@@ -171,8 +171,10 @@ def grown_body(
     empty = ScalarGrid(low - border, step, np.zeros(shape, dtype=np.float32))
     q, normal, m = sample_surface(mesh, margin, 0.5 * step)
     few, certain = _thinned(q, m, 0.25 * step), CERTAIN_SIGMAS / sigmas
-    cut = None if occupied is None or covers == "hull" else _empty_space(occupied)
-    reach = m if cut is None else np.where(cut.at(q + m[:, None] * normal) > 0.0, certain * m, m)
+    reach, sky_m = m, None
+    if occupied is not None and covers != "hull":
+        sky_m = _depth_in_sky(occupied, empty.corners())
+        reach = np.where(_depth_in_sky(occupied, q + m[:, None] * normal) > 0.0, certain * m, m)
     outermost = q + reach[:, None] * normal
     reason = np.full(shape, MEASURED, dtype=np.uint8)
     if covers == "hull":
@@ -182,8 +184,7 @@ def grown_body(
         reason[_grown_distance(empty, q[few], normal[few], m[few]).reshape(shape) < 2.0 * step] = MEASURED
         outermost = np.concatenate([outermost, centres])
     else:
-        not_beyond = None if cut is None else (cut, certain)
-        values = _grown_distance(empty, q[few], normal[few], m[few], not_beyond)
+        values = _grown_distance(empty, q[few], normal[few], m[few], sky_m, certain)
         for state in STATES[covers]:
             assert occupied is not None
             to_cells = _distance_to_cells(empty, occupied, state) - radius_m
@@ -199,11 +200,14 @@ def grown_body(
     )
 
 
-def _empty_space(occupied: Occupancy) -> ScalarGrid:
-    """How deep places are in space that the sky is seen through, beyond the first of its cells [m]."""
+def _depth_in_sky(occupied: Occupancy, p_G: Array) -> Array:
+    """How deep (n,) places (n, 3) are in space before the sky, beyond the first of its cells [m]; below 0
+    elsewhere, and outside of the grid, where nothing is known.
+    """
     is_empty = occupied.state == EMPTY
     depth = distance_transform_edt(is_empty) - distance_transform_edt(~is_empty) - 1.0
-    return ScalarGrid(occupied.origin_G, occupied.step_m, (occupied.step_m * depth).astype(np.float32))
+    place = (p_G - occupied.origin_G) / occupied.step_m
+    return np.asarray(occupied.step_m * map_coordinates(depth, place.T, order=1, cval=-np.inf))
 
 
 def _distance_to_cells(grid: ScalarGrid, occupied: Occupancy, state: int) -> Array:
@@ -298,10 +302,11 @@ def _grown_distance(
     q: Array,
     normal: Array,
     margin: Array,
-    not_beyond: tuple[ScalarGrid, float] | None = None,
+    sky_m: Array | None = None,
+    certain: float = 1.0,
 ) -> Array:
-    """Minimum of distance minus margin over the points, negative inside (cells,); of the margin only a share
-    is added where a field is above 0.
+    """Minimum of distance minus margin over the points, negative inside (cells,); only a certain share of the
+    margin is added to cells whose depth in the sky (cells,) is above 0.
     """
     corners, shape = grid.corners(), grid.values.shape
     nearest = closest(grid.origin, grid.step_m, shape, q, np.zeros(len(q))).reshape(-1)
@@ -313,10 +318,9 @@ def _grown_distance(
     inside |= behind & (distance <= 0.87 * grid.step_m)
     to_grown = np.linalg.norm(corners - q[grown], axis=1)
     out = to_grown - margin[grown]
-    if not_beyond is not None:
-        cut, share = not_beyond
-        least = np.minimum(distance - share * margin[nearest], to_grown - share * margin[grown])
-        out = np.maximum(out, np.minimum(cut.at(corners), least))
+    if sky_m is not None:
+        least = np.minimum(distance - certain * margin[nearest], to_grown - certain * margin[grown])
+        out = np.maximum(out, np.minimum(sky_m, least))
     return np.asarray(np.where(inside, np.minimum(out, -distance - margin[nearest]), out))
 
 

@@ -247,9 +247,9 @@ def _swept(
     advance: Advance,
 ) -> SweptKeepOut:
     sweep_of = partial(_Sweep, body, estimate, motion, P, horizon_s=options.horizon_s)
-    radius_m = _radius_m(body, estimate)
+    radius_m, sigma_m = _radius_m(body, estimate), _com_sigma_m(P, estimate)
     members_N = halves[0].p_NG + halves[0].R_NG @ estimate.com_G
-    far_m = COARSE_SIGMAS * _com_sigma_m(P, estimate) + radius_m
+    far_m = COARSE_SIGMAS * sigma_m + radius_m
     low, high = _box(motion.com_N, far_m, members_N, radius_m)
     coarse = sweep_of(low, high, COARSE * float((high - low).max()) / options.cells)
     origin, fields = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
@@ -263,7 +263,7 @@ def _swept(
     best = int(np.argmin(sizes))
     advance()
     most_m = max(float(allowed[best]), 0.0)
-    far_m = FACTORS[best] * _com_sigma_m(P, estimate) + radius_m + most_m
+    far_m = FACTORS[best] * sigma_m + radius_m + most_m
     low, high = _box(motion.com_N, far_m, motion.com_N, radius_m)
     step = float((high - low).max()) / options.cells
     fine = sweep_of(low, high, step)

@@ -139,6 +139,9 @@ def test_an_uncertain_surface_grows_no_farther_than_the_sky_is_seen_and_one_unkn
     assert (grown < 0.0).all()
     # two sigmas remain
     assert cut[0] < 0.0 and cut[1] < 0.0 and cut[2] > 0.0
+    # nothing is known beyond the grid
+    small = Occupancy(np.full(3, -0.105), step_m, np.full((43, 43, 43), FREE, dtype=np.uint8))
+    np.testing.assert_allclose(grown_body(vague, 0.01, occupied=small).grid.at(places), grown, atol=1e-3)
     with pytest.raises(InputError, match=r"known to within .* m only: no keep-out volume"):
         grown_body(measured(surface.mesh, 1.0), 0.01)
 
