@@ -89,6 +89,14 @@ class Board:
         return board
 
 
+def dictionaries() -> list[str]:
+    """Names of OpenCV's dictionaries without DICT_, of two with the same first markers the smaller one
+    first.
+    """
+    names = [each.removeprefix("DICT_") for each in dir(cv2.aruco) if each.startswith("DICT_")]
+    return sorted(names, key=lambda name: [int(part) for part in re.findall(r"\d+", name)[::-1]] or [0])
+
+
 def make_board(
     pattern: str,
     size: str,
@@ -122,7 +130,7 @@ def make_board(
     if kind == "aprilgrid" and not 0.05 <= spacing <= 2.0:
         raise InputError(f"--spacing {spacing:g}: give the gap between tags over their side, 0.05 to 2")
     wanted = dictionary or (APRILTAGS if kind == "aprilgrid" else "5X5_100")
-    known = [each.removeprefix("DICT_") for each in dir(cv2.aruco) if each.startswith("DICT_")]
+    known = dictionaries()
     named = next((each for each in known if each.lower() == wanted.lower().removeprefix("dict_")), None)
     if named is None:
         raise InputError(f"--dictionary {wanted[:40]}: not known; choose one of {', '.join(known)}")

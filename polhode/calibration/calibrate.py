@@ -1,15 +1,16 @@
 """The flow of a calibration: find the boards, leave out what spoils it, adjust each camera and then both."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from polhode.calibration.adjustment import Adjusted, CornerData, RigState, adjust
-from polhode.calibration.boards import Board
-from polhode.calibration.detection import Found, Kind, Missed, find_board
+from polhode.calibration.boards import Board, dictionaries
+from polhode.calibration.detection import Found, Kind, Missed, count_markers, find_board
 from polhode.calibration.image_pairs import SIDES, ImagePairs
 from polhode.calibration.lenses import Model
 from polhode.calibration.pair_consensus import MIN_PAIRS, Pair, agree
@@ -22,6 +23,8 @@ from polhode.runtime.progress import Progress
 
 MIN_VIEWS = 4
 """Of each camera: fewer leave its values open."""
+BASELINES_M = 3e-3, 5.0
+"""Of rigs"""
 
 
 class Rejection(NamedTuple):
@@ -109,6 +112,22 @@ class CalibratedRig:
         """Pairs whose left, and whose right image is used."""
         return sorted(self.views.found[0]), sorted(self.views.found[1])
 
+    @property
+    def doubt_of_size(self) -> str:
+        """What speaks against the stated size of the squares; empty: nothing."""
+        baseline_m, square_m = float(np.linalg.norm(self.state.X_10[:3, 3])), self.views.board.square_m
+        if BASELINES_M[0] <= baseline_m <= BASELINES_M[1]:
+            return ""
+        return (
+            f"with squares of {1e3 * square_m:g} mm the cameras are {1e3 * baseline_m:.3g} mm apart, "
+            "which no rig "
+            "has: give --square-mm in millimetres, as measured on the board"
+        )
+
+
+LOOKED_AT = 6
+"""Images in which other dictionaries are looked for"""
+
 
 def calibrate(
     pairs: ImagePairs, board: Board, models: tuple[Model, Model], progress: Progress
@@ -119,6 +138,7 @@ def calibrate(
     """
     views = _find_views(pairs, board, progress)
     _require_board(views)
+    _require_dictionary(views)
     _leave_out_blurred(views)
     if pairs.is_dense:
         _leave_out_repeated(views)
@@ -223,6 +243,23 @@ def _require_board(views: Views) -> None:
         f"--board {board.columns}x{board.rows}: {len(other)} images show another board ({other[0].words}); "
         "count its sides again"
     )
+
+
+def _require_dictionary(views: Views) -> None:
+    """Raise InputError if hardly an image shows the board, and most markers are of another dictionary."""
+    board = views.board
+    if board.pattern == "chessboard" or sum(map(len, views.found)) > 0.2 * sum(map(len, views.missed)):
+        return
+    images = [each.pixels for each in islice(views.pairs.images(), LOOKED_AT) if each.pixels is not None]
+    counts = {
+        name: sum(count_markers(image, replace(board, dictionary=name)) for image in images)
+        for name in dictionaries()
+    }
+    best = max(counts, key=lambda name: counts[name])
+    if counts[best] > max(2 * counts[board.dictionary], 2 * len(images)):
+        raise InputError(
+            f"the images show markers of {best}, not of {board.dictionary}: give --dictionary {best}"
+        )
 
 
 def _leave_out_blurred(views: Views) -> None:

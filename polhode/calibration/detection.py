@@ -364,6 +364,11 @@ def _find_grid(image: Grey, board: Board) -> Found | Missed:
     return _finished(image, board, best, uv_px)
 
 
+def count_markers(image: Grey, board: Board) -> int:
+    """How many markers of the board's dictionary an image shows, whichever their border."""
+    return max(len(_tags(image, board, border_bits)[1]) for border_bits in (1, 2))
+
+
 def _tags(image: Grey, board: Board, border_bits: int) -> tuple[list[Array], Ints]:
     """Corners (4, 2) of each tag and their numbers; Kalibr's tags have a border of two bits, others one."""
     parameters = cv2.aruco.DetectorParameters()

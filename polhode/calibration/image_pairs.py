@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.files.foreign_files import read_bytes
-from polhode.files.images import Grey, Raw, UnreadableImage, bit_depth, decode_raw, size_in_header, to_grey
+from polhode.files.images import Grey, Raw, UnreadableImage, bit_depth, decode_upright, read_header, to_grey
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.image_folders import IMAGE_BYTES, SUFFIXES, natural_key
 from polhode.importers.sources.open_recording import Recording, opened_recording
@@ -52,7 +52,7 @@ class ImagePairs:
 
 
 def _read(content: bytes) -> Grey:
-    return _grey(decode_raw(content, *size_in_header(content)))
+    return _grey(decode_upright(content, *read_header(content).size_px))
 
 
 def _grey(raw: Raw) -> Grey:

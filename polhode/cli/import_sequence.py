@@ -9,6 +9,7 @@ from pydantic import Field
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
+from polhode.importers.sources.times import TimeUnit
 from polhode.runtime.console import choose_progress
 from polhode.runtime.errors import InputError
 
@@ -27,17 +28,21 @@ class ImportCommand(Command):
 
     sources: Annotated[tuple[Path, ...], Positional("SOURCE...")]
     """One path or two."""
-    output: Annotated[Path, Named("SEQ", "-o")]
+    output: Annotated[Path | None, Named("SEQ", "-o")] = None
     """Folder of the dataset, which is created."""
+    dry_run: bool = False
+    """Show what is understood of the recording, by its times and first images, and write nothing."""
     calibration: Annotated[tuple[Path, ...], Named("FILE...")] = ()
     """Calibration: a YAML or JSON file of OpenCV (or two: intrinsics, extrinsics), a camchain of Kalibr, two
     camera_info of ROS (left, right), or a folder with cam0/sensor.yaml and cam1/sensor.yaml. By default that
     of the bag or of the EuRoC folder."""
     unit: Annotated[Literal["m", "mm"], Named("m|mm")] = "m"
-    """Unit of T in a file of OpenCV: that of the board's squares."""
+    """Unit of the lengths in the calibration: in a file of OpenCV that of the board's squares."""
     stamps: Annotated[tuple[Path, ...], Named("FILE...")] = ()
-    """Timestamps for images and videos without: one row an image, ns, or s with a point. One file for both
-    cameras, or one each."""
+    """Timestamps for images and videos without: one row an image. One file for both cameras, or one each."""
+    time_unit: Annotated[TimeUnit | None, Named("ns|us|ms|s")] = None
+    """Unit of the times in these files, or in the names of the images. Recognized by headers, size and
+    intervals unless given."""
     rate_hz: Annotated[float | None, Named("HZ"), Field(gt=0, le=MAX_TIME_S)] = None
     """Frame rate of numbered images, and of videos whose own times are wrong [Hz]."""
     left_topic: Annotated[str | None, Named("TOPIC")] = None
@@ -78,7 +83,7 @@ class ImportCommand(Command):
 
     def execute(self) -> Answer:
         """Import. The dataset appears when it is complete; an interrupted one is resumed."""
-        from polhode.importers.import_sequence import import_sequence
+        from polhode.importers.import_sequence import import_sequence, look_at_recording
         from polhode.importers.options import ImportOptions, parse_crop
         from polhode.records import range_images as limits
 
@@ -100,10 +105,23 @@ class ImportCommand(Command):
             unit_m=1e-3 if self.unit == "mm" else 1.0,
             crop=None if self.crop is None else parse_crop(self.crop),
         )
-        done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
+        if self.dry_run:
+            done = look_at_recording(self.sources, options, choose_progress())
+        elif self.output is None:
+            raise InputError("-o is missing: give the folder of the dataset, or --dry-run to write nothing")
+        else:
+            done = import_sequence(self.sources, self.output, options, choose_progress(), self.overwrite)
+        paths = () if self.dry_run or self.output is None else (self.output,)
+        width = max(map(len, done.understood))
+        rows = [f"{name:{width}}  {text}" for name, text in done.understood.items()]
         return Answer(
-            f"{done.pairs} {done.kind}, {done.duration_s:.4g} s: {self.output}",
-            "\n".join(done.notes),
-            paths=(self.output,),
-            figures={"pairs": done.pairs, "kind": done.kind, "duration_s": done.duration_s},
+            f"{done.pairs} {done.kind}, {done.duration_s:.4g} s: {paths[0] if paths else 'nothing written'}",
+            "\n".join((*rows, *done.notes)),
+            paths=paths,
+            figures={
+                "pairs": done.pairs,
+                "kind": done.kind,
+                "duration_s": done.duration_s,
+                "understood": done.understood,
+            },
         )

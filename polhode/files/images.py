@@ -9,6 +9,7 @@ import ctypes
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -28,6 +29,8 @@ FORMATS = ("PNG", "TIFF", "JPEG", "BMP", "PPM")
 """As Pillow calls them; PPM includes PGM and PBM."""
 MAX_PIXELS = 64_000_000
 """Of one image; the largest sensors of machine vision with a global shutter have some 25 million."""
+ORIENTATION = 0x0112
+"""Tag of EXIF: how an image is to be turned for showing it"""
 GREY_OR_COLOUR = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX")
 """Modes of 8 bits or fewer; transparency is ignored."""
 
@@ -144,10 +147,37 @@ def decode_raw(content: bytes, width_px: int, height_px: int) -> Raw:
         return _raw_of(image)
 
 
-def size_in_header(content: bytes) -> tuple[int, int]:
-    """Width and height [px] by the header of an image file's content. Raises UnreadableImage."""
+@dataclass(frozen=True)
+class ImageHeader:
+    """What the header of an image file says."""
+
+    size_px: tuple[int, int]
+    """Width and height as stored"""
+    is_turned: bool
+    """Whether its EXIF orientation is another than that of the pixels, which ``read_raw`` does not look at"""
+
+
+def read_header(content: bytes) -> ImageHeader:
+    """The header of an image file's content. Raises UnreadableImage, also for pixels that are not read."""
     with _errors_named(), Image.open(BytesIO(content), formats=FORMATS) as image:
-        return image.size
+        assert isinstance(image, ImageFile.ImageFile)
+        _require_known_pixels(image)
+        # Pillow itself turns TIFF
+        is_turned = image.format != "TIFF" and image.getexif().get(ORIENTATION, 1) in range(2, 9)
+        return ImageHeader(image.size, is_turned)
+
+
+def decode_upright(content: bytes, width_px: int, height_px: int) -> Raw:
+    """As ``decode_raw``, turned as the EXIF orientation says; width and height as stored."""
+    with _decodable(BytesIO(content), width_px, height_px) as image:
+        orientation = image.getexif().get(ORIENTATION, 1)
+        raw = _raw_of(image)
+    turned: Raw = raw.T if orientation in (5, 6, 7, 8) else raw
+    rows, columns = (
+        slice(None, None, -1 if orientation in back else 1) for back in ((3, 4, 7, 8), (2, 3, 6, 7))
+    )
+    upright: Raw = turned[rows, columns].copy()
+    return upright
 
 
 def _raw_of(image: ImageFile.ImageFile) -> Raw:
@@ -190,15 +220,17 @@ def to_grey(raw: Raw, bits: int) -> Grey:
 
 
 def read_mask(path: Path, width_px: int, height_px: int) -> Bools:
-    """A mask (H, W), true where the file is not zero. Raises UnreadableImage."""
+    """A mask (H, W), true where the file is not zero, of JPEG half of white. Raises UnreadableImage."""
     with _opened(path, width_px, height_px) as image:
         mask: Bools = np.empty((height_px, width_px), np.bool_)
+        # JPEG scatters small values around an outline
+        least = 128 if image.format == "JPEG" else 1
         for rows, part in _strips(image):
             # The index of a palette is the label; converted to grey, labels could become black.
             pixels = np.asarray(part)
             if part.mode in ("RGBA", "RGBa", "LA", "La", "PA"):
                 pixels = pixels[..., :-1]
-            mask[rows] = pixels.any(axis=-1) if pixels.ndim == 3 else pixels != 0
+            mask[rows] = (pixels >= least).any(axis=-1) if pixels.ndim == 3 else pixels >= least
         return mask
 
 

@@ -73,7 +73,8 @@ def read_yaml(path: Path, missing: str | None = None) -> Any:
         text = read_text(path, CONFIGURATION_BYTES, "a YAML file")
     except MissingFile:
         raise InputError(missing or f"{path} is missing: give an existing file") from None
-    return parse_yaml(text, str(path))
+    # OpenCV's version of YAML, which some write above a sensor.yaml
+    return parse_yaml(re.sub(r"\A\ufeff?%YAML:1\.0\s*(---)?", "", text), str(path))
 
 
 def parse_yaml(text: str, source: str) -> Any:

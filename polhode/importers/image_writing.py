@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from polhode.files.atomic import write_bytes, write_text
-from polhode.files.images import Raw, UnreadableImage, decode_raw, read_mask, size_in_header
+from polhode.files.images import Raw, UnreadableImage, decode_raw, decode_upright, read_header, read_mask
 from polhode.importers.calibrations.rig import Rig
 from polhode.importers.imported_dataset import ImportedDataset
 from polhode.importers.options import Crop
 from polhode.importers.pairs import ChosenPairs
 from polhode.importers.sources.open_recording import Recording
-from polhode.importers.sources.recording import FramedImage, StoredImage
+from polhode.importers.sources.recording import DecodedImage, FramedImage, StoredImage
 from polhode.records.dataset_writer import write_png
+from polhode.records.mask_files import doubts_of_masks, find_masks, mask_file
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
@@ -39,6 +40,13 @@ class WrittenImages:
     """Of the recorded images [px]; None: all of them were there already"""
     unreadable: list[str] = field(default_factory=list)
     """Images that are none, and why"""
+    turned: int = 0
+    """Number of images that were turned as their files say"""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the images, for the user."""
+        return (f"{self.turned} images were turned as their EXIF orientation says",) if self.turned else ()
 
     @property
     def stamps(self) -> list[int]:
@@ -103,8 +111,12 @@ def _prepared(
     size than the calibration's or than that of the images before."""
     image, camera = framed.image, framed.camera
     if isinstance(image, StoredImage):
-        size = size_in_header(image.content)
-    else:
+        header = read_header(image.content)
+        size = header.size_px
+        if header.is_turned:
+            image = DecodedImage(decode_upright(image.content, *size))
+            written.turned += 1
+    if isinstance(image, DecodedImage):
         size = (image.pixels.shape[1], image.pixels.shape[0])
     before = written.sizes[camera]
     if before is None:
@@ -134,6 +146,17 @@ def _write_png(path: Path, pixels: Raw) -> None:
     write_bytes(path, stream.getvalue())
 
 
+def first_size(recording: Recording) -> tuple[int, int]:
+    """Width and height of the first left image [px]. Raises InputError: it cannot be read."""
+    image = next(recording.images((frozenset({0}), frozenset()))).image
+    if isinstance(image, DecodedImage):
+        return image.pixels.shape[1], image.pixels.shape[0]
+    try:
+        return read_header(image.content).size_px
+    except UnreadableImage as error:
+        raise InputError(f"{recording.name}: the first image cannot be read: {error}") from None
+
+
 def write_listings(dataset: ImportedDataset, written: WrittenImages) -> None:
     """Write ``data.csv`` of both cameras, and remove images whose partner could not be read."""
     stamps = written.stamps
@@ -147,23 +170,32 @@ def write_listings(dataset: ImportedDataset, written: WrittenImages) -> None:
 
 def copy_masks(
     folders: tuple[Path | None, Path | None],
+    images: tuple[Mapping[int, str], Mapping[int, str]],
     own_ns: tuple[Mapping[int, int], Mapping[int, int]],
     rig: Rig,
     crop: Crop | None,
     mav0: Path,
-) -> None:
-    """Copy or crop the masks of the pairs. ``own_ns``: timestamp of a pair -> that of its image [ns]."""
+) -> tuple[str, ...]:
+    """Copy or crop the masks of the pairs; warnings about them.
+
+    images: timestamp of an image [ns] -> its file, of each camera; own_ns: timestamp of a pair -> that of its
+    image. Raises InputError for masks that cannot be read, and for those none of which belongs to an image.
+    """
+    warnings: list[str] = []
     for camera, folder in enumerate(folders):
         if folder is None:
             continue
+        masks = find_masks(folder, images[camera], own_ns[camera])
+        size = rig.cameras[camera].size_px
+        assert size is not None
+        warnings += [f"{folder}: masks {words}" for words in doubts_of_masks(masks, size)] if masks else []
         for stamp, own in own_ns[camera].items():
-            source = next((each for name in (own, stamp) if (each := folder / f"{name}.png").is_file()), None)
+            source = mask_file(masks, (own, stamp), Path(images[camera].get(own, "")))
             if source is None:
                 continue
-            size = rig.cameras[camera].size_px
-            assert size is not None
             try:
                 mask = read_mask(source, *size)
             except UnreadableImage as error:
                 raise InputError(f"{source}: {error}; repair it, or remove the folder of masks") from None
             write_png(mav0 / f"masks{camera}" / f"{stamp}.png", _part(mask, crop))
+    return tuple(warnings)

@@ -5,38 +5,53 @@ Everything that times, topics and calibration can show is checked before the fir
 
 import hashlib
 import logging
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import polhode
 from polhode.files.foreign_files import MIB, read_bytes
-from polhode.files.images import UnreadableImage, read_raw, size_in_header
+from polhode.files.images import UnreadableImage, read_header, read_raw
+from polhode.geometry.lie import Ints
 from polhode.importers.calibrations.read_rig import CAMERA_KINDS, KINDS, read_camera, read_rig
 from polhode.importers.calibrations.rig import Rig, require_usable, with_virtual_camera, write_rig
-from polhode.importers.image_writing import WrittenImages, copy_masks, write_images, write_listings
+from polhode.importers.image_writing import (
+    WrittenImages,
+    copy_masks,
+    first_size,
+    write_images,
+    write_listings,
+)
 from polhode.importers.imported_dataset import ImportedDataset, require_free, staged_import
 from polhode.importers.options import Crop, ImportOptions
 from polhode.importers.pairs import MIN_PAIRS, ChosenPairs, choose_pairs
 from polhode.importers.sources.open_recording import Recording, opened_recording
 from polhode.importers.sources.recording import Contents
+from polhode.importers.understood import understood
 from polhode.records.dataset import read_inspector
 from polhode.records.dataset_writer import write_inspector, write_range_sensor
 from polhode.records.range_images import why_no_ranges
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
+MAX_BASELINE_M = 5.0
+"""Of a rig on a spacecraft"""
+
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What an import brought."""
+    """What an import brought, or with a dry run would bring."""
 
     pairs: int
     duration_s: float
+    understood: dict[str, str]
+    """What was read out of the recording, by its name"""
     notes: tuple[str, ...]
     """What was chosen, for the user"""
     warnings: tuple[str, ...]
@@ -55,55 +70,104 @@ def import_sequence(
     """
     require_free(folder, overwrite)
     with opened_recording(sources, options, progress) as recording:
-        contents = recording.contents
-        rig = _rig(recording, options)
-        pairs = choose_pairs(recording.name, contents, options)
-        early = (*contents.warnings, *pairs.warnings)
-        # a rig of 5 mm and more whose T is in millimetres: no image would show it, all lengths follow it
-        if contents.ranges is None and rig.baseline_m > 5.0:
-            early += (
-                f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if OpenCV's T is in "
-                "millimetres, give --unit mm: all lengths scale with it",
-            )
-        for line in early:
-            _log.warning(line)
-        has_ranges = contents.ranges is not None
+        rig, pairs, early = _begun(recording, options)
+        has_ranges = recording.contents.ranges is not None
         with staged_import(folder, overwrite, _fingerprint(sources, options), has_ranges) as dataset:
-            written = write_images(recording, pairs, rig, options.crop, dataset, progress)
-            lost = _require_pairs(recording, pairs, written)
-            whole = _sized(rig, written, dataset, options.crop)
-            rig = whole
-            if (crop := options.crop) is not None:
-                part = (crop.left, crop.top, crop.width, crop.height)
-                rig = replace(whole, left=whole.left.cropped(*part), right=whole.right.cropped(*part))
-                require_usable(rig)
-            try:
-                _write_others(contents, pairs, written, (whole, rig), options.crop, dataset)
-            except InputError as error:
-                # of files that are published under another name
-                raise InputError(str(error).replace(str(dataset.path), recording.name)) from None
-            if has_ranges:
-                _require_ranges(recording, rig, written, dataset)
-            for line in lost:
-                _log.warning(line)
-            dataset.write_record(_record(sources, options, pairs, (*early, *lost)))
-    stamps = written.stamps
-    kind = "images with ranges" if has_ranges else "stereo pairs"
-    notes = contents.notes if has_ranges else (*contents.notes, f"baseline: {rig.baseline_m:.4g} m")
-    return Imported(len(stamps), 1e-9 * (stamps[-1] - stamps[0]), notes, (*early, *lost), kind)
+            written, whole, lost = _write(recording, pairs, rig, options, dataset, progress)
+            stamps_ns = np.array(written.stamps, dtype=np.int64)
+            done = _summary(recording, options, pairs, stamps_ns, written, whole, (*early, *lost))
+            dataset.write_record(_record(sources, options, pairs, done))
+    return done
+
+
+def look_at_recording(sources: Sequence[Path], options: ImportOptions, progress: Progress) -> Imported:
+    """What ``import_sequence`` would bring, by its times and the first images alone; errors as there."""
+    with opened_recording(sources, options, progress) as recording, TemporaryDirectory() as place:
+        rig, pairs, early = _begun(recording, options)
+        dataset = ImportedDataset(Path(place), recording.contents.ranges is not None)
+        first = pairs.first(MIN_PAIRS)
+        written, whole, lost = _write(recording, first, rig, options, dataset, progress)
+        return _summary(recording, options, pairs, pairs.stamps_ns, written, whole, (*early, *lost))
+
+
+def _begun(recording: Recording, options: ImportOptions) -> tuple[Rig, ChosenPairs, tuple[str, ...]]:
+    """Calibration, pairs, and warnings about them."""
+    contents = recording.contents
+    rig = _rig(recording, options)
+    pairs = choose_pairs(recording.name, contents, options)
+    early = (*contents.warnings, *pairs.warnings)
+    # a rig of 5 mm and more whose T is in millimetres: no image would show it, all lengths follow it
+    if contents.ranges is None and rig.baseline_m > MAX_BASELINE_M and options.unit_m == 1.0:
+        early += (
+            f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if that calibration is in "
+            "millimetres, give --unit mm: all lengths scale with it",
+        )
+    early += rig.remarks
+    for line in early:
+        _log.warning(line)
+    return rig, pairs, early
+
+
+def _write(
+    recording: Recording,
+    pairs: ChosenPairs,
+    rig: Rig,
+    options: ImportOptions,
+    dataset: ImportedDataset,
+    progress: Progress,
+) -> tuple[WrittenImages, Rig, tuple[str, ...]]:
+    """Write the whole dataset but its record: images, the rig of the images as recorded, warnings."""
+    contents = recording.contents
+    written = write_images(recording, pairs, rig, options.crop, dataset, progress)
+    lost = _require_pairs(recording, pairs, written)
+    whole = _sized(rig, written, dataset, options.crop)
+    rig = whole
+    if (crop := options.crop) is not None:
+        part = (crop.left, crop.top, crop.width, crop.height)
+        rig = replace(whole, left=whole.left.cropped(*part), right=whole.right.cropped(*part))
+        require_usable(rig)
+    try:
+        lost += _write_others(contents, pairs, written, (whole, rig), options.crop, dataset)
+    except InputError as error:
+        # of files that are published under another name
+        raise InputError(str(error).replace(str(dataset.path), recording.name)) from None
+    if contents.ranges is not None:
+        _require_ranges(recording, rig, written, dataset)
+    for line in lost:
+        _log.warning(line)
+    return written, whole, lost
+
+
+def _summary(
+    recording: Recording,
+    options: ImportOptions,
+    pairs: ChosenPairs,
+    stamps_ns: Ints,
+    written: WrittenImages,
+    rig: Rig,
+    warnings: tuple[str, ...],
+) -> Imported:
+    """What the user is told; stamps_ns: (n,) of the pairs that are imported."""
+    contents = recording.contents
+    kind = "stereo pairs" if contents.ranges is None else "images with ranges"
+    table = understood(recording, options, pairs, stamps_ns, written, rig)
+    duration_s = 1e-9 * float(stamps_ns[-1] - stamps_ns[0])
+    return Imported(len(stamps_ns), duration_s, table, (*contents.notes, *written.notes), warnings, kind)
 
 
 def _rig(recording: Recording, options: ImportOptions) -> Rig:
     """The calibration that the user gives, else the recording's own; on the body whose poses there are."""
     contents = recording.contents
     rig, is_stereo = contents.rig, contents.ranges is None
-    if options.calibration and is_stereo:
-        rig = read_rig(options.calibration, options.unit_m)
-    elif options.calibration:
-        rig = with_virtual_camera(read_camera(options.calibration))
+    files = options.calibration or contents.calibration
+    if files and is_stereo:
+        rig = read_rig(files, lambda: first_size(recording), _kitti_cameras(recording.name))
+    elif files:
+        rig = with_virtual_camera(read_camera(files))
     if rig is None:
         kinds = KINDS if is_stereo else CAMERA_KINDS
         raise InputError(f"{recording.name}: no calibration in it; give --calibration: {kinds}")
+    rig = rig.in_metres(options.unit_m) if is_stereo else rig
     if contents.poses is not None and contents.poses.X_BC0 is not None:
         rig = rig.on_body(contents.poses.X_BC0)
     if contents.bits is not None:
@@ -111,6 +175,12 @@ def _rig(recording: Recording, options: ImportOptions) -> Rig:
     if all(camera.size_px is not None for camera in rig.cameras):
         require_usable(rig)
     return rig
+
+
+def _kitti_cameras(name: str) -> tuple[int, int]:
+    """Which two of KITTI's cameras the folders of a recording are those of; the grey ones unless named."""
+    found = [int(number) for number in re.findall(r"image_0?([0-3])\b", name)]
+    return (found[0], found[1]) if len(found) == 2 else (0, 1)
 
 
 def _require_pairs(recording: Recording, pairs: ChosenPairs, written: WrittenImages) -> tuple[str, ...]:
@@ -135,7 +205,7 @@ def _sized(rig: Rig, written: WrittenImages, dataset: ImportedDataset, crop: Cro
         size = written.sizes[index] or (camera.size_px if crop else None)
         if size is None:
             name = next(iter(dataset.images_there(index).values()))
-            size = size_in_header(read_bytes(dataset.folder(index) / "data" / name, 2**30, "an image"))
+            size = read_header(read_bytes(dataset.folder(index) / "data" / name, 2**30, "an image")).size_px
         cameras.append(camera.sized(size))
     sized = replace(rig, left=cameras[0], right=cameras[1])
     require_usable(sized)
@@ -149,8 +219,8 @@ def _write_others(
     rigs: tuple[Rig, Rig],
     crop: Crop | None,
     dataset: ImportedDataset,
-) -> None:
-    """Everything but the images. ``rigs``: of the images as recorded, and as written."""
+) -> tuple[str, ...]:
+    """Everything but the images, and warnings. ``rigs``: of the images as recorded, and as written."""
     mav0 = dataset.mav0
     write_rig(mav0, rigs[1], pairs.rate_hz, 2 if contents.ranges is None else 1)
     if (ranges := contents.ranges) is not None:
@@ -172,7 +242,8 @@ def _write_others(
             dict(zip(pairs.stamps_ns.tolist(), times[indices].tolist(), strict=True))
             for times, indices in zip(contents.stamps_ns, (pairs.left, pairs.right), strict=True)
         ]
-        copy_masks(contents.masks, (own[0], own[1]), rigs[0], crop, mav0)
+        return copy_masks(contents.masks, contents.files, (own[0], own[1]), rigs[0], crop, mav0)
+    return ()
 
 
 def _require_ranges(recording: Recording, rig: Rig, written: WrittenImages, dataset: ImportedDataset) -> None:
@@ -204,10 +275,7 @@ def _fingerprint(sources: Sequence[Path], options: ImportOptions) -> str:
 
 
 def _record(
-    sources: Sequence[Path],
-    options: ImportOptions,
-    pairs: ChosenPairs,
-    warnings: tuple[str, ...],
+    sources: Sequence[Path], options: ImportOptions, pairs: ChosenPairs, done: Imported
 ) -> dict[str, object]:
     """The content of ``import.json``: what was imported, and what was found out."""
     defaults = vars(ImportOptions())
@@ -217,5 +285,6 @@ def _record(
         "pairs": len(pairs.stamps_ns),
         "unpaired": list(pairs.unpaired),
         "offset_of_stamps_s": 1e-9 * pairs.offset_ns,
-        "warnings": list(warnings),
+        "understood": done.understood,
+        "warnings": list(done.warnings),
     }

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from polhode.importers.sources.times import TimeUnit
 from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 
@@ -36,6 +37,8 @@ class ImportOptions:
     """Unit of T in OpenCV's files [m]"""
     stamps: tuple[Path, ...] = ()
     """Tables of timestamps, for images and videos that have none: one for both cameras, or one each"""
+    time_unit: TimeUnit | None = None
+    """Of times in tables and names; None: by header, size and intervals"""
     rate_hz: float | None = None
     """Frames a second, for numbered images, and for videos instead of their own times"""
     left_topic: str | None = None

@@ -1,6 +1,6 @@
 """Which images of a recording become pairs of the dataset."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,12 @@ class ChosenPairs:
         """Pairs a second, as they are imported."""
         step_ns = float(np.median(np.diff(self.stamps_ns))) if len(self.stamps_ns) > 1 else 0.0
         return 1e9 / step_ns if step_ns else 1.0
+
+    def first(self, count: int) -> "ChosenPairs":
+        """The first pairs alone."""
+        return replace(
+            self, left=self.left[:count], right=self.right[:count], stamps_ns=self.stamps_ns[:count]
+        )
 
 
 def choose_pairs(name: str, contents: Contents, options: ImportOptions) -> ChosenPairs:

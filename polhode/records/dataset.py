@@ -7,7 +7,7 @@ Every image is decoded once when the sequence is opened, so that damage is found
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -44,6 +44,7 @@ from polhode.files.tables import (
 )
 from polhode.geometry.lie import Array, Bools, Ints, make_pose
 from polhode.records.camera_folders import CameraFolders, find_cameras
+from polhode.records.mask_files import doubts_of_masks, find_masks, mask_file, unused_masks
 from polhode.records.pairing import offset_in_words, pair_by_time, time_in_words
 from polhode.records.range_images import RANGE_FOLDER, RangeModel, read_range_model, why_no_ranges
 from polhode.records.rig_calibration import (
@@ -109,6 +110,8 @@ class StereoSequence:
     _right_ns: Ints
     """(F,) timestamps of the right images, which may differ by an offset and a little more"""
     _cameras: CameraFolders
+    _masks: tuple[Mapping[str, Path], ...] = field(repr=False)
+    """Of each camera by their names without suffix (``mask_files``)"""
     _bits: int = 8
     range_model: RangeModel | None = None
     """Of the range images in the place of a right camera; None: there are two cameras"""
@@ -192,9 +195,10 @@ class StereoSequence:
         width, height = self.calibration.size_px(camera)
         if self.repeated[k]:
             return np.zeros((height, width), dtype=np.bool_)
-        path = _mask_file(self._cameras, camera, int(self.timestamps_ns[k]), int(self._right_ns[k]))
+        stamps = _stamps_of_mask(camera, int(self.timestamps_ns[k]), int(self._right_ns[k]))
+        path = mask_file(self._masks[camera], stamps, self._files[k][camera])
         try:
-            return read_mask(path, width, height)
+            return None if path is None else read_mask(path, width, height)
         except UnreadableImage:
             # open_sequence has warned of it.
             return None
@@ -227,8 +231,10 @@ def open_sequence(folder: Path) -> StereoSequence:
     n_listed = len(files) + len(reasons)
     # Images are decoded only while enough frames can remain.
     _require_enough(folder, reasons, n_listed)
+    masks, of_masks = _masks_of(cameras, calibration, listings, tuple(files))
+    warnings += of_masks
     usable: list[_Checked] = []
-    for number, check in enumerate(_check_pairs(cameras, files, right_of, calibration), start=1):
+    for number, check in enumerate(_check_pairs(cameras, files, right_of, calibration, masks), start=1):
         if check.reason is None:
             usable.append(check)
         else:
@@ -285,6 +291,7 @@ def open_sequence(folder: Path) -> StereoSequence:
         _files=tuple(files[check.stamp] for check in usable),
         _digests=tuple(check.digests for check in usable),
         _cameras=cameras,
+        _masks=masks,
         _right_ns=np.array([right_of[check.stamp] for check in usable], dtype=np.int64),
         _bits=calibration.bits or bit_depth(max(check.largest_16_bit for check in usable)),
         range_model=ranges,
@@ -390,6 +397,7 @@ def _check_pairs(
     files: dict[int, tuple[Path, Path]],
     right_of: dict[int, int],
     calibration: StereoCalibration,
+    masks: tuple[Mapping[str, Path], ...],
 ) -> Iterator[_Checked]:
     """What is found out about each pair, in order; never more than a few are decoded ahead."""
     rest, has_ranges = iter(files.items()), cameras.has_ranges
@@ -419,8 +427,12 @@ def _check_pairs(
             shows.append(has_content(grey))
             bright = bright or bool(np.median(grey) > 127)
         for camera in (0,) if has_ranges else (0, 1):
-            mask = _mask_file(cameras, camera, stamp, right_of[stamp])
-            if mask.parent.is_dir():
+            if masks[camera] or cameras.masks(camera).is_dir():
+                stamps = _stamps_of_mask(camera, stamp, right_of[stamp])
+                mask = mask_file(masks[camera], stamps, pair[1][camera])
+                if mask is None:
+                    bad_masks.append(f"{cameras.masks(camera) / f'{stamp}.png'}: file missing")
+                    continue
                 try:
                     read_mask(mask, *calibration.size_px(camera))
                 except UnreadableImage as error:
@@ -440,12 +452,28 @@ def _digest(image: NDArray[Any]) -> bytes:
     return blake2b(image.tobytes(), digest_size=16).digest()
 
 
-def _mask_file(cameras: CameraFolders, camera: int, stamp: int, right_ns: int) -> Path:
+def _stamps_of_mask(camera: int, stamp: int, right_ns: int) -> tuple[int, ...]:
     """A mask has the timestamp of its pair; one of the right camera may have that of its image."""
-    path = cameras.masks(camera) / f"{stamp}.png"
-    if camera == 1 and right_ns != stamp and not path.exists():
-        return path.with_name(f"{right_ns}.png")
-    return path
+    return (stamp, right_ns) if camera else (stamp,)
+
+
+def _masks_of(
+    cameras: CameraFolders,
+    calibration: StereoCalibration,
+    listings: tuple[dict[int, str], ...],
+    pairs_ns: tuple[int, ...],
+) -> tuple[tuple[dict[str, Path], ...], list[str]]:
+    """The masks of both cameras, and warnings about them."""
+    masks, warnings = [], []
+    for camera, listing in enumerate(listings):
+        folder = cameras.masks(camera)
+        found = {} if camera and cameras.has_ranges else find_masks(folder, listing, pairs_ns)
+        masks.append(found)
+        if unused := unused_masks(found, listing, pairs_ns):
+            warnings.append(f"{folder}: {len(unused)} masks belong to no image (first: {unused[0]})")
+        doubts = doubts_of_masks(found, calibration.size_px(camera)) if found else []
+        warnings += [f"{folder}: masks {words}" for words in doubts]
+    return tuple(masks), warnings
 
 
 def _require_enough(folder: Path, reasons: dict[int, str], n_listed: int, unchecked: int = 0) -> None:

@@ -48,7 +48,7 @@ OPTIONAL_PARTS: tuple[OptionalPart, ...] = (
         "convex pieces of the bodies for simulators (urdf, mjcf, sdf); without it they get their convex hull",
     ),
     OptionalPart(
-        "import", {"rosbags": "rosbags", "av": "PyAV"},
+        "import", {"rosbags": "rosbags", "mcap": "mcap", "av": "PyAV"},
         "bags and videos in polhode import and polhode calibrate; folders of images need neither",
     ),
     OptionalPart("view", {"rerun": "Rerun"}, "polhode view, and polhode run --view and --view-save"),

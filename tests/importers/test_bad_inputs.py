@@ -182,15 +182,15 @@ BAD: dict[str, tuple[Bad, str]] = {
     ),
     "OpenCV's T in metres, said to be in millimetres": (
         calibration(lambda data, area: write_opencv(data, area / "c.yml"), unit_m=1e-3),
-        "m long with --unit mm; state its unit, that of the board's squares: --unit m or mm",
+        "m apart with --unit mm; state the unit of the calibration's lengths: --unit m or mm",
     ),
     "calibration of no kind": (
         calibration(lambda data, area: written(area / "c.yaml", "a: 1\n")),
-        "lacks R, from the left to the right camera",
+        "c.yaml: of no format that is read; give a file of OpenCV",
     ),
     "calibration that is missing": (
         calibration(lambda *_: Path("none.yaml")),
-        "none.yaml is missing: give a YAML or JSON file of OpenCV",
+        "none.yaml is missing: give a file of OpenCV (YAML, XML, JSON, npz)",
     ),
     "images of two sizes": (
         folders(lambda both, _: Image.new("L", (32, 24)).save(both[1] / f"{TIMESTAMPS_NS[4]}.png")),
@@ -205,7 +205,10 @@ BAD: dict[str, tuple[Bad, str]] = {
         folders(lambda both, _: [path.rename(path.with_suffix(".txt")) for path in both[1].iterdir()]),
         "holds no images (.png",
     ),
-    "names that are no times": (folders(name_otherwise), "the name frame0.png is no time; give --rate-hz"),
+    "names that are no times": (
+        folders(name_otherwise),
+        "the name frame0.png states no time; give --rate-hz",
+    ),
     "times for other images": (too_many_times, "9 timestamps for the 6 images"),
     "images that are none": (
         folders(lambda both, _: [path.write_bytes(b"no image") for path in both[0].iterdir()]),

@@ -115,9 +115,9 @@ def test_a_baseline_that_looks_like_millimetres_is_doubted(small_sequence: Path,
     baseline_m = float(np.linalg.norm(data.X_01[:3, 3]))
     wrong = imported(folders, tmp_path / "wrong", calibration=(calibration,))
     assert wrong.warnings[0].endswith("give --unit mm: all lengths scale with it")
-    assert wrong.notes[-1] == f"baseline: {1e3 * baseline_m:.4g} m"
+    assert wrong.understood["baseline"] == f"{1e3 * baseline_m:.4g} m"
     right = imported(folders, tmp_path / "right", calibration=(calibration,), unit_m=1e-3)
-    assert right.notes[-1] == f"baseline: {baseline_m:.4g} m"
+    assert right.understood["baseline"] == f"{baseline_m:.4g} m"
     assert not any("--unit" in line for line in right.warnings)
 
 

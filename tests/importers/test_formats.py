@@ -114,7 +114,7 @@ def test_a_converging_rig_comes_back_to_rounding(small_sequence: Path, tmp_path:
         ([write_opencv(data, tmp_path / "mm.yml", 1e-3)], 1e-3, 3e-16),
         (write_camera_info(data, tmp_path), 1.0, 2e-15),
     ):
-        rig = read_rig(paths, unit_m)
+        rig = read_rig(paths).in_metres(unit_m)
         np.testing.assert_array_equal(rig.left.X_BC, np.eye(4))
         np.testing.assert_allclose(rig.right.X_BC, data.calibration.X_BC1, rtol=0.0, atol=atol)
         assert rig.right.intrinsics == (50.0, 51.0, 31.5, 23.5)

@@ -1,8 +1,10 @@
-"""ROS camera_info, as two YAML files (camera_calibration) or as messages: K, D, R and P of each camera.
+"""ROS camera_info, as two YAML files (camera_calibration), printed or as messages: K, D, R and P of each
+camera.
 
 K and D are of the image as recorded. R turns its camera into the rectified one, whose projection is P; the
 fourth column of P, divided by its focal length, is where the left rectified camera is seen from the right
-one: p_1 = R_1^T (R_0 p_0 + (P_1[0, 3] / P_1[0, 0], P_1[1, 3] / P_1[1, 1], 0)).
+one: p_1 = R_1^T (R_0 p_0 + (P_1[0, 3] / P_1[0, 0], P_1[1, 3] / P_1[1, 1], 0)). Drivers leave R and P at 0, or
+state the distance without its sign: both are read.
 """
 
 from collections.abc import Sequence
@@ -38,24 +40,46 @@ class CameraInfo:
 
 
 def is_camera_info(content: dict[str, Any]) -> bool:
-    """Whether the content of a YAML file is a camera_info."""
-    return "camera_matrix" in content and ("projection_matrix" in content or "image_width" in content)
+    """Whether the content of a file is a camera_info: a YAML file, or a message as ``topic echo`` prints
+    it.
+    """
+    return _is_message(content) or (
+        "camera_matrix" in content and ("projection_matrix" in content or "image_width" in content)
+    )
+
+
+def _is_message(content: dict[str, Any]) -> bool:
+    return "distortion_model" in content and any({*names} <= content.keys() for names in ("KDRP", "kdrp"))
 
 
 def read_camera_info(path: Path, content: dict[str, Any]) -> CameraInfo:
-    """A YAML file of camera_calibration. Raises InputError when a key is missing or wrong."""
-    width, height = (int(numbers_at(path, content, f"image_{side}", (1,))[0]) for side in ("width", "height"))
-    D = numbers_at(path, content, "distortion_coefficients", (0, 4, 5, 8, 12, 14))
+    """A YAML file of camera_calibration, or a printed message. Raises InputError for a wrong key."""
+    if _is_message(content):
+        K, D, R, P = "KDRP" if "K" in content else "kdrp"
+        size, frame = ("width", "height"), content.get("header")
+    else:
+        K, D, R, P = (
+            "camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix",
+        )  # fmt: skip
+        size, frame = ("image_width", "image_height"), None
+    width, height = (int(numbers_at(path, content, side, (1,))[0]) for side in _as_lists(content, size))
     return CameraInfo(
         str(path),
         width,
         height,
         str(content.get("distortion_model", "plumb_bob")),
-        tuple(D.tolist()),
-        numbers_at(path, content, "camera_matrix", (9,)).reshape(3, 3),
-        numbers_at(path, content, "rectification_matrix", (9,)).reshape(3, 3),
-        numbers_at(path, content, "projection_matrix", (12,)).reshape(3, 4),
+        tuple(numbers_at(path, content, D, (0, 4, 5, 8, 12, 14)).tolist()),
+        numbers_at(path, content, K, (9,)).reshape(3, 3),
+        numbers_at(path, content, R, (9,)).reshape(3, 3),
+        numbers_at(path, content, P, (12,)).reshape(3, 4),
+        str(frame.get("frame_id", "")) if isinstance(frame, dict) else "",
     )
+
+
+def _as_lists(content: dict[str, Any], names: Sequence[str]) -> Sequence[str]:
+    """The names, whose single values become lists of one."""
+    content.update({name: [content[name]] for name in names if not isinstance(content.get(name, []), list)})
+    return names
 
 
 def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | None = None) -> Rig:
@@ -67,26 +91,50 @@ def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | N
     """
     left, right = infos
     cameras = [read_one(info, rectified) for info in infos]
+    remarks: tuple[str, ...] = ()
     if X_01 is None:
-        other, offset = (
-            np.array([_quotient(P[0, 3], P[0, 0]), _quotient(P[1, 3], P[1, 1]), 0.0])
-            for P in (left.P, right.P)
-        )
-        if not np.any(offset != other):
-            raise InputError(
-                f"{right.source}: the fourth column of P is 0, so the distance of the cameras is not stated; "
-                "calibrate them as a stereo pair, or give --calibration"
-            )
-        offset = offset - other
-        if offset[0] > 0.0 and abs(offset[0]) > abs(offset[1]):
+        offset = shift_between(infos)
+        if not offset.any():
+            raise InputError(f"{right.source}: {_why_no_shift(infos)}; give --calibration")
+        if offset[0] > 0.0 and abs(offset[0]) > abs(offset[1]) and left.P[0, 3] < 0.0:
             raise InputError(
                 f"{right.source}: by P this is the left camera of the pair; exchange left and right"
             )
+        if offset[0] > 0.0 and abs(offset[0]) > abs(offset[1]):
+            offset = offset * [-1.0, 1.0, 1.0]
+            remarks = (
+                f"{right.source}: Tx is positive in P, taken as the distance of the cameras; polhode "
+                "checkout "
+                "tells whether left and right are exchanged",
+            )
         X_10 = make_pose(np.eye(3), offset)
         if not rectified:
-            X_10 = make_pose(right.R.T @ left.R, right.R.T @ offset)
+            R_0, R_1 = (info.R if info.R.any() else np.eye(3) for info in infos)
+            X_10 = make_pose(R_1.T @ R_0, R_1.T @ offset)
         X_01 = pose_from_inverse(X_10)
-    return Rig(cameras[0], replace(cameras[1], X_BC=X_01))
+    return Rig(cameras[0], replace(cameras[1], X_BC=X_01), remarks=remarks)
+
+
+def shift_between(infos: Sequence[CameraInfo]) -> Array:
+    """(3,) where the left rectified camera is seen from the right one, by P; 0: it does not say."""
+    left, right = (
+        np.array([_quotient(P[0, 3], P[0, 0]), _quotient(P[1, 3], P[1, 1]), 0.0]) if P[0, 0] else np.zeros(3)
+        for P in (info.P for info in infos)
+    )
+    return np.asarray(right - left)
+
+
+def _why_no_shift(infos: Sequence[CameraInfo]) -> str:
+    """Why the distance of the cameras is not stated."""
+    Tx = float(infos[1].P[0, 3])
+    if Tx:
+        return (
+            f"both cameras state the same fourth column of P, {Tx:.6g}, so that their distance is not "
+            "known, and "
+            "no tf_static links them"
+        )
+    what = "P is 0" if not infos[1].P.any() else "the fourth column of P is 0"
+    return f"{what}, so the distance of the cameras is not stated, and no tf_static links them"
 
 
 def read_one(info: CameraInfo, rectified: bool = False) -> Camera:
@@ -94,12 +142,12 @@ def read_one(info: CameraInfo, rectified: bool = False) -> Camera:
     numbers = np.concatenate([np.ravel(each) for each in (info.K, info.R, info.P, info.D)])
     if not np.isfinite(numbers).all():
         raise InputError(f"{info.source}: NaN or infinity in the calibration; calibrate the camera")
-    if info.K[0, 0] <= 0.0 or info.P[0, 0] <= 0.0:
+    if info.K[0, 0] <= 0.0 and info.P[0, 0] <= 0.0:
         raise InputError(
             f"{info.source}: a focal length of 0: this camera was not calibrated; give --calibration"
         )
     size = (info.width_px, info.height_px)
-    if rectified:
+    if info.K[0, 0] <= 0.0 or (rectified and info.P[0, 0] > 0.0):
         return camera_of(info.source, info.P[:, :3], UNDISTORTED, (), np.eye(4), size)
     return camera_of(info.source, info.K, info.model, info.D, np.eye(4), size)
 

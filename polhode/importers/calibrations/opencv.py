@@ -1,19 +1,17 @@
-"""Calibrations that OpenCV's FileStorage wrote, as YAML or JSON, with the names that its samples use.
+"""Calibrations of OpenCV's functions: YAML, XML or JSON of FileStorage, or arrays of NumPy, with the names
+that its samples use.
 
 R and T turn points of the left camera into the right one, p_right = R p_left + T, as stereoCalibrate states
 them. Both cameras are in one file, or the intrinsics in one and R and T in the other, as in OpenCV's sample.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from polhode.files.foreign_files import CONFIGURATION_BYTES, read_text
 from polhode.files.tables import numbers_at
-from polhode.files.yaml_files import parse_yaml
 from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.importers.calibrations.rig import (
     EQUIDISTANT,
@@ -23,7 +21,6 @@ from polhode.importers.calibrations.rig import (
     camera_of,
     pose_from_inverse,
 )
-from polhode.records.rig_calibration import MIN_BASELINE_M
 from polhode.runtime.errors import InputError
 
 _SIDES = (("1", "left", "l", "0", "cam0"), ("2", "right", "r", "1", "cam1"))
@@ -38,24 +35,25 @@ _ROTATION, _TRANSLATION = (
 )
 
 
-def is_opencv(text: str) -> bool:
-    """Whether a file begins as FileStorage writes it, or holds one of its matrices."""
-    return text.lstrip("\ufeff").startswith("%YAML:1.0") or "opencv-matrix" in text or "opencv_matrix" in text
+def is_opencv(content: Mapping[str, Any]) -> bool:
+    """Whether a content has one of the names that ``read_opencv`` looks for."""
+    known = {key.lower() for key in content}
+    matrices = (pattern.format(name).lower() for pattern in _MATRIX for side in _SIDES for name in side)
+    return not known.isdisjoint((*matrices, *(each.lower() for each in (*_ROTATION, *_TRANSLATION))))
 
 
-def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
-    """The rig of one file, or of two that complete each other; T is in units of ``unit_m`` [m].
+def read_opencv(files: Mapping[Path, dict[str, Any]]) -> Rig:
+    """The rig of one file, or of two that complete each other, by their content; lengths as in the file.
 
-    Raises InputError when a matrix is missing, has the wrong size, or holds NaN, or T is shorter than a
-    baseline can be.
+    Raises InputError when a matrix is missing, has the wrong size, or holds NaN.
     """
     values: dict[str, Any] = {}
     where: dict[str, Path] = {}
-    for path in paths:
-        for key, value in _content(path).items():
+    for path, content in files.items():
+        for key, value in content.items():
             values.setdefault(key, value)
             where.setdefault(key, path)
-    shown = paths[0]
+    shown = next(iter(files))
     R_key, T_key = _first(values, _ROTATION), _first(values, _TRANSLATION)
     if R_key is None or T_key is None:
         raise InputError(
@@ -66,20 +64,14 @@ def read_opencv(paths: Sequence[Path], unit_m: float) -> Rig:
     # a matrix, or a rotation vector
     R = numbers_at(where[R_key], values, R_key, (9, 3))
     R = R.reshape(3, 3) if len(R) == 9 else np.asarray(exp_so3(R))
-    t = numbers_at(where[T_key], values, T_key, (3,)) * unit_m
-    if np.linalg.norm(t) < MIN_BASELINE_M:
-        raise InputError(
-            f"{where[T_key]}: {T_key} is {np.linalg.norm(t):g} m long with --unit "
-            f"{'m' if unit_m == 1.0 else 'mm'}; state its unit, that of the board's squares: --unit m or mm"
-        )
+    t = numbers_at(where[T_key], values, T_key, (3,))
     X_01 = pose_from_inverse(make_pose(R, t))
     return Rig(_camera(shown, values, _SIDES[0], np.eye(4)), _camera(shown, values, _SIDES[1], X_01))
 
 
-def read_opencv_camera(path: Path) -> Camera:
+def read_opencv_camera(path: Path, values: dict[str, Any]) -> Camera:
     """One camera: ``camera_matrix`` and ``distortion_coefficients``, as OpenCV's sample writes them, or the
     left one of a pair. Raises InputError as ``read_opencv``."""
-    values = _content(path)
     for own, names in (
         ("M1", ("camera_matrix", "cameraMatrix", "mtx", "K")),
         ("D1", ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist", "D")),
@@ -87,17 +79,6 @@ def read_opencv_camera(path: Path) -> Camera:
         if (found := _first(values, names)) is not None:
             values.setdefault(own, values[found])
     return _camera(path, values, _SIDES[0], np.eye(4))
-
-
-def _content(path: Path) -> dict[str, Any]:
-    text = read_text(path, CONFIGURATION_BYTES, "a calibration")
-    # FileStorage writes YAML 1.0 with a tag of its own
-    plain = re.sub(r"\A%YAML:1\.0\s*(---)?", "", text).replace("!!opencv-matrix", "")
-    plain = re.sub(r"\.Nan\b", ".nan", plain)
-    found = parse_yaml(plain, str(path))
-    if not isinstance(found, dict):
-        raise InputError(f"{path} has no keys: give a calibration of OpenCV's stereoCalibrate")
-    return found
 
 
 def _first(values: Mapping[str, Any], names: Sequence[str]) -> str | None:

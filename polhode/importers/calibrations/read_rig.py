@@ -1,35 +1,66 @@
-"""Which format a calibration has, and the rig in it; the formats of Kalibr and EuRoC.
+"""Which format a calibration has, and the rig in it.
 
-A camchain of Kalibr has the left camera in cam0, the right one in cam1; T_cn_cnm1 turns points of the camera
-before into this one. With T_cam_imu the body B is the IMU, whose poses an estimator states; without it, the
-left camera. ``sensor.yaml`` of both cameras is as EuRoC publishes and ``polhode calibrate`` writes it.
+``sensor.yaml`` of both cameras is as EuRoC publishes and ``polhode calibrate`` writes it; the other formats
+have modules of their own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from polhode.files.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
 from polhode.files.tables import numbers_at, read_mapping
-from polhode.files.yaml_files import parse_yaml
 from polhode.importers.calibrations.camera_info import is_camera_info, read_camera_info, read_one, rig_of
+from polhode.importers.calibrations.camera_makers import (
+    SizeOfImages,
+    is_depthai,
+    is_zed,
+    read_depthai,
+    read_zed,
+)
+from polhode.importers.calibrations.content import read_content
+from polhode.importers.calibrations.datasets import is_colmap, is_kitti, read_colmap, read_kitti
+from polhode.importers.calibrations.kalibr import is_kalibr, read_kalibr
 from polhode.importers.calibrations.opencv import is_opencv, read_opencv, read_opencv_camera
-from polhode.importers.calibrations.rig import Camera, Rig, camera_of, pose_from_inverse
+from polhode.importers.calibrations.rig import Camera, Rig, camera_of
+from polhode.importers.calibrations.slam_programs import (
+    is_basalt,
+    is_orb_slam,
+    is_vins,
+    read_basalt,
+    read_orb_slam,
+    read_vins,
+)
 from polhode.records.calibration_prior import DISTORTION, states_sigmas
 from polhode.records.rig_calibration import read_calibration
 from polhode.runtime.errors import InputError
 
 KINDS = (
-    "a YAML or JSON file of OpenCV, a camchain of Kalibr, two camera_info of ROS (left, right), or a "
-    "folder with cam0/sensor.yaml and cam1/sensor.yaml"
+    "a file of OpenCV (YAML, XML, JSON, npz), a camchain of Kalibr, two camera_info of ROS (left, "
+    "right), settings "
+    "of ORB-SLAM, VINS-Fusion or Basalt, a file of ZED, OAK or KITTI, a model of COLMAP, or a folder with "
+    "cam0/sensor.yaml and cam1/sensor.yaml"
 )
 CAMERA_KINDS = (
-    "a YAML or JSON file of OpenCV, a camchain of Kalibr, a camera_info of ROS, or a folder with "
+    "a file of OpenCV (YAML, XML, JSON, npz), a camchain of Kalibr, a camera_info of ROS, or a folder with "
     "cam0/sensor.yaml"
 )
+OTHERS: tuple[tuple[str, Callable[[Mapping[str, Any]], bool]], ...] = (
+    ("Metashape (Agisoft)", lambda content: "document" in content or "calibration" in content),
+    ("MATLAB's stereoParams", lambda content: "CameraParameters1" in content),
+    ("nerfstudio or instant-ngp (transforms.json)", lambda content: "camera_angle_x" in content or "fl_x" in
+    content), ("OpenMVG (sfm_data.json)", lambda content: "sfm_data_version" in content),
+    ("calib.io", lambda content: "Calibration" in content),
+    ("Blender or BlenderProc", lambda content: "cam_K" in content or "cam_K_matrix" in content),
+    ("AirSim (settings.json)", lambda content: "SettingsVersion" in content),
+    ("RealSense Viewer, which has no calibration in it", lambda content: "controls-depth-white-balance-auto"
+    in content or ("parameters" in content and "schema version" in content)),
+)  # fmt: skip
+"""Formats that are recognized and not read"""
+
+
+def _no_size() -> tuple[int, int]:
+    raise InputError("the calibration is of several image sizes: give it with the images to polhode import")
 
 
 def read_camera(paths: Sequence[Path]) -> Camera:
@@ -42,48 +73,72 @@ def read_camera(paths: Sequence[Path]) -> Camera:
     path = paths[0]
     if path.is_dir():
         return read_euroc_camera(path)
-    content = _content(path, CAMERA_KINDS)
-    if content is not None and _is_kalibr(content):
-        return _read_kalibr(path, content, stereo=False)[0]
-    if content is not None and is_camera_info(content) and "projection_matrix" in content:
+    content = read_content(path, CAMERA_KINDS)
+    if is_kalibr(content):
+        return read_kalibr(path, content, stereo=False)[0]
+    if (
+        is_camera_info(content)
+        and "opencv_matrix" not in content
+        and "projection_matrix" in content | {"p": 0}
+    ):
         return read_one(read_camera_info(path, content))
-    return read_opencv_camera(path)
+    if _is_sensor(content):
+        return _sensor(path, content)
+    _refuse_others(path, content, CAMERA_KINDS)
+    return read_opencv_camera(path, content)
 
 
-def read_rig(paths: Sequence[Path], unit_m: float = 1.0) -> Rig:
-    """The rig of a file, two files or a folder, of any known format.
+def read_rig(
+    paths: Sequence[Path], size_of_images: SizeOfImages = _no_size, cameras: tuple[int, int] = (0, 1)
+) -> Rig:
+    """The rig of a file, two files or a folder, of any known format, with the lengths that it states.
 
-    ``unit_m``: unit of OpenCV's T [m], which is that of the board's squares. Raises InputError for what is
-    missing, of no known format, or wrong.
+    size_of_images: for formats that state several sizes; cameras: those of KITTI. Raises InputError for what
+    is missing, of no known format, or wrong.
     """
     if len(paths) == 1 and paths[0].is_dir():
-        return read_euroc_rig(paths[0])
+        return read_colmap(paths[0]) if is_colmap(paths[0]) else read_euroc_rig(paths[0])
     if not 1 <= len(paths) <= 2:
         raise InputError(f"--calibration: {len(paths)} were given; give {KINDS}")
-    contents = [content for path in paths if (content := _content(path, KINDS)) is not None]
-    if len(contents) == len(paths):
-        if len(paths) == 1 and _is_kalibr(contents[0]):
-            left, right = _read_kalibr(paths[0], contents[0], stereo=True)
+    contents = {path: read_content(path, KINDS) for path in paths}
+    if len(paths) == 1:
+        path, content = next(iter(contents.items()))
+        if is_kalibr(content):
+            left, right = read_kalibr(path, content, stereo=True)
             return Rig(left, right)
-        if all(is_camera_info(content) for content in contents):
-            if len(paths) == 1:
-                raise InputError(f"{paths[0]}: the camera_info of one camera; give those of both: LEFT RIGHT")
-            return rig_of([read_camera_info(*each) for each in zip(paths, contents, strict=True)])
-    return read_opencv(paths, unit_m)
+        for is_it, read in (
+            (is_orb_slam, read_orb_slam),
+            (is_vins, read_vins),
+            (is_basalt, read_basalt),
+            (is_depthai, read_depthai),
+        ):
+            if is_it(content):
+                return read(path, content)
+        if is_zed(content):
+            return read_zed(path, content, size_of_images)
+        if is_kitti(content):
+            return read_kitti(path, content, size_of_images, cameras)
+    if all(is_camera_info(content) for content in contents.values()):
+        if len(paths) == 1:
+            raise InputError(f"{paths[0]}: the camera_info of one camera; give those of both: LEFT RIGHT")
+        return rig_of([read_camera_info(path, content) for path, content in contents.items()])
+    if all(_is_sensor(content) for content in contents.values()):
+        if len(paths) == 1:
+            raise InputError(f"{paths[0]}: the sensor.yaml of one camera; give those of both: LEFT RIGHT")
+        left, right = (_sensor(path, content) for path, content in contents.items())
+        return Rig(left, right)
+    for path, content in contents.items():
+        _refuse_others(path, content, KINDS)
+        if not is_opencv(content):
+            raise InputError(f"{path}: of no format that is read; give {KINDS}")
+    return read_opencv(contents)
 
 
-def _content(path: Path, kinds: str) -> dict[str, Any] | None:
-    """The content of a YAML file; None: it is one of OpenCV."""
-    try:
-        text = read_text(path, CONFIGURATION_BYTES, "a calibration")
-    except MissingFile:
-        raise InputError(f"{path} is missing: give {kinds}") from None
-    if is_opencv(text):
-        return None
-    content = parse_yaml(text, str(path))
-    if not isinstance(content, dict):
-        raise InputError(f"{path} is no calibration: give {kinds}")
-    return content
+def _refuse_others(path: Path, content: Mapping[str, Any], kinds: str) -> None:
+    """Raise InputError for a format that is known, and not read."""
+    for name, is_it in OTHERS:
+        if is_it(content):
+            raise InputError(f"{path}: a file of {name}, whose format is not read; give {kinds}")
 
 
 def read_euroc_rig(folder: Path, names: tuple[str, str] = ("cam0", "cam1")) -> Rig:
@@ -108,7 +163,15 @@ def read_euroc_camera(folder: Path, name: str = "cam0") -> Camera:
     """
     base = folder / "mav0" if (folder / "mav0").is_dir() else folder
     path = base / name / "sensor.yaml"
-    sensor = read_mapping(path, "a camera needs its calibration")
+    return _sensor(path, read_mapping(path, "a camera needs its calibration"))
+
+
+def _is_sensor(content: Mapping[str, Any]) -> bool:
+    return "T_BS" in content and "intrinsics" in content
+
+
+def _sensor(path: Path, sensor: dict[str, Any]) -> Camera:
+    """The camera of a ``sensor.yaml``."""
     if sensor.get("camera_model", "pinhole") != "pinhole":
         raise InputError(f"{path} key 'camera_model': only pinhole is supported")
     named, bits = sensor.get("distortion_model"), sensor.get("bits")
@@ -121,39 +184,3 @@ def read_euroc_camera(folder: Path, name: str = "cam0") -> Camera:
         numbers_at(path, sensor, "resolution", (2,)).tolist(),
         bits if isinstance(bits, int) else None,
     )
-
-
-def _is_kalibr(content: dict[str, Any]) -> bool:
-    cameras = [value for key, value in content.items() if key.startswith("cam") and isinstance(value, dict)]
-    return any("intrinsics" in camera and "T_BS" not in camera for camera in cameras)
-
-
-def _read_kalibr(path: Path, content: dict[str, Any], stereo: bool) -> list[Camera]:
-    """Both cameras of a camchain, or cam0 alone. Raises InputError when a key is missing or wrong."""
-    needed = {"cam0": "cam0 (left)", "cam1": "cam1 (right)"} if stereo else {"cam0": "cam0"}
-    X_BC, cameras = np.eye(4), []
-    for name in needed:
-        camera, source = content.get(name), f"{path} {name}"
-        if not isinstance(camera, dict):
-            raise InputError(f"{path} lacks {name}: give a camchain with {' and '.join(needed.values())}")
-        key = "T_cam_imu" if name == "cam0" else "T_cn_cnm1"
-        if key in camera:
-            X = pose_from_inverse(numbers_at(path, camera, key, (16,)).reshape(4, 4))
-            X_BC = X if name == "cam0" else X_BC @ X + 0.0
-        elif name == "cam1":
-            raise InputError(f"{source} lacks {key}: give the camchain of a calibrated pair")
-        if (model := camera.get("camera_model", "pinhole")) != "pinhole":
-            raise InputError(
-                f"{source}: camera_model {str(model)[:40]!r} is not supported; calibrate as pinhole"
-            )
-        cameras.append(
-            camera_of(
-                source,
-                numbers_at(path, camera, "intrinsics", (4,)),
-                str(camera.get("distortion_model", "none")),
-                numbers_at(path, camera, "distortion_coeffs", (0, 4, 5, 8)),
-                X_BC,
-                numbers_at(path, camera, "resolution", (2,)).tolist(),
-            )
-        )
-    return cameras

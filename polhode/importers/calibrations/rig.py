@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from polhode.geometry.lie import Array, inverse_pose, make_pose
 from polhode.records.calibration_prior import CalibrationPrior
 from polhode.records.dataset_writer import write_prior, write_sensor
-from polhode.records.rig_calibration import read_calibration
+from polhode.records.rig_calibration import MIN_BASELINE_M, read_calibration
 from polhode.runtime.errors import InputError
 
 RADIAL_TANGENTIAL, EQUIDISTANT, UNDISTORTED = "radial-tangential", "equidistant", "none"
@@ -72,6 +72,8 @@ class Rig:
     right: Camera
     prior: CalibrationPrior | None = None
     """How well it is known; None: the format does not state it"""
+    remarks: tuple[str, ...] = ()
+    """What was assumed in reading it, for the user"""
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
@@ -88,6 +90,22 @@ class Rig:
         left, right = (replace(camera, bits=camera.bits or bits) for camera in self.cameras)
         return replace(self, left=left, right=right)
 
+    def in_metres(self, unit_m: float) -> "Rig":
+        """The rig whose lengths were stated in this unit. Raises InputError: they make no baseline."""
+        X_BC = [camera.X_BC.copy() for camera in self.cameras]
+        if unit_m != 1.0:
+            for X in X_BC:
+                X[:3, 3] *= unit_m
+        if np.linalg.norm(X_BC[1][:3, 3] - X_BC[0][:3, 3]) < MIN_BASELINE_M:
+            raise InputError(
+                f"{self.right.source}: the cameras are {unit_m * self.baseline_m:.4g} m apart with --unit "
+                f"{'m' if unit_m == 1.0 else 'mm'}; state the unit of the calibration's lengths: --unit m "
+                "or mm"
+            )
+        left, right = (replace(each, X_BC=X) for each, X in zip(self.cameras, X_BC, strict=True))
+        # how well it is known was stated in the wrong unit, too
+        return replace(self, left=left, right=right, prior=self.prior if unit_m == 1.0 else None)
+
     def on_body(self, X_BC0: Array) -> "Rig":
         """The rig on another body, in which the left camera has the pose X_BC0 (4, 4)."""
         if np.array_equal(self.left.X_BC, X_BC0):
@@ -98,7 +116,7 @@ class Rig:
         left, right = replace(self.left, X_BC=X_BC0 + 0.0), replace(self.right, X_BC=X_BC0 @ X_01 + 0.0)
         # how well the pose in another body is known says nothing of this one
         prior = None if self.prior is None else self.prior.without("cam0.p_", "cam0.theta_")
-        return Rig(left, right, prior)
+        return Rig(left, right, prior, self.remarks)
 
 
 def distortion_of(source: str, name: str, coefficients: Sequence[float]) -> tuple[str, tuple[float, ...]]:

@@ -10,5 +10,5 @@ what else a recording holds.
 - tum_rgbd: a folder of TUM's RGB-D benchmark, one camera with depth
 - ros_bag: bags of ROS 1 and ROS 2, over ros_messages (images, poses, tf)
 - video: one side-by-side video, or two videos
-- stamp_files: tables of timestamps
+- times: times in tables and names of files, and their unit
 """

@@ -30,10 +30,11 @@ def is_euroc(path: Path) -> bool:
     return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 
-def open_euroc(path: Path, poses: str | None) -> ImageFiles:
+def open_euroc(path: Path, poses: str | None, has_rig: bool = False) -> ImageFiles:
     """The recording in ``path``. Raises InputError for what is missing or wrong.
 
-    ``poses``: ``none`` leaves the inspector's poses out.
+    ``poses``: ``none`` leaves the inspector's poses out; ``has_rig``: another calibration takes the place of
+    sensor.yaml, which may be missing.
     """
     mav0 = path / "mav0" if (path / "mav0").is_dir() else path
     folders = find_cameras(mav0)
@@ -44,7 +45,10 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
         for camera, names in zip(cameras, listings, strict=True)
     ]
     stamps = [np.array(list(names), dtype=np.int64) for names in listings]
-    if folders.has_ranges:
+    rig = None
+    if has_rig:
+        pass
+    elif folders.has_ranges:
         rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
         if states_sigmas(mav0, folders.names[:1]):
             rig = replace(rig, prior=read_range_calibration(mav0, folders.names[0]).prior)
@@ -66,7 +70,15 @@ def open_euroc(path: Path, poses: str | None) -> ImageFiles:
     masks = [folder if folder is not None and folder.is_dir() else None for folder in given]
     ranges = read_range_model(cameras[1]) if folders.has_ranges else None
     contents = Contents(
-        (stamps[0], stamps[1]), rig, found, rig.left.bits, tables, (masks[0], masks[1]), ranges, notes
+        (stamps[0], stamps[1]),
+        rig,
+        found,
+        None if rig is None else rig.left.bits,
+        tables,
+        (masks[0], masks[1]),
+        (listings[0], listings[1]),
+        ranges,
+        notes=notes,
     )
     return ImageFiles(str(path), (files[0], files[1]), contents)
 

@@ -1,27 +1,35 @@
 """Two folders of images, the left camera's and the right one's, or a camera's and its depth images.
 
-Times come from the names of the files (nanoseconds, microseconds, milliseconds, or seconds with a point,
-since 1970), from a table (--stamps), or from the number at the end of each name and a rate (--rate-hz).
-Images are copied as they are.
+Times come from a table (--stamps), from the names of the files, from a table that lies beside them as KITTI
+and EuRoC have it, or from the numbers in their names and a rate (--rate-hz). Images are copied as they are.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from polhode.files.foreign_files import MIB, read_bytes
-from polhode.geometry.lie import Ints
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, FramedImage, StoredImage, Wanted
-from polhode.importers.sources.stamp_files import read_stamps, require_increasing, stamp_of_name
+from polhode.importers.sources.times import (
+    RATE_AGREES,
+    Times,
+    numbers_of_names,
+    read_times,
+    require_increasing,
+    times_of_names,
+)
 from polhode.runtime.errors import InputError
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm")
 IMAGE_BYTES = 528 * MIB
 """Of an image of 64 million pixels, as polhode.files.images allows."""
+TABLES = ("timestamps.txt", "times.txt", "data.csv")
+"""Of times, in the folder of the images or the one above: KITTI's, and EuRoC's"""
 
 
 @dataclass(frozen=True)
@@ -42,25 +50,35 @@ class ImageFiles:
             yield FramedImage(camera, index, StoredImage(content, path.suffix.lower()), str(path))
 
 
-def open_folders(left: Path, right: Path, options: ImportOptions) -> ImageFiles:
+def open_folders(
+    left: Path, right: Path, options: ImportOptions, tables: Sequence[Path] | None = None
+) -> ImageFiles:
     """The images of two folders; the second one's are depth if the options state its unit.
 
-    Raises InputError for folders without images, and images without times.
+    tables: of their times, instead of those of the options. Raises InputError for folders without images, and
+    images without times.
     """
     if left.resolve() == right.resolve():
         raise InputError(
             f"{left} and {right} are the same folder: give those of the left and the right camera"
         )
-    tables = options.stamps * (2 // len(options.stamps)) if options.stamps else (None, None)
-    files, stamps = [], []
-    for folder, table in zip((left, right), tables, strict=True):
+    given = tuple(tables or options.stamps)
+    pairs = zip((left, right), given * (2 // len(given)) if given else (None, None), strict=True)
+    files, found = [], []
+    for folder, table in pairs:
         names = _images_in(folder)
-        times = _times(folder, names, table, options.rate_hz)
-        order = np.argsort(times, kind="stable")
+        times = _times(folder, names, table, options)
+        order = np.argsort(times.stamps_ns, kind="stable")
         files.append(tuple(names[k] for k in order))
-        stamps.append(times[order])
-        require_increasing(folder, times[order])
-    contents = Contents((stamps[0], stamps[1]), None, ranges=options.range_model())
+        found.append(Times(times.stamps_ns[order], times.origin))
+        require_increasing(folder, found[-1].stamps_ns)
+    origins = [times.origin.partition(",")[0].partition(" (")[0] for times in found]
+    if origins[0] != origins[1]:
+        raise InputError(
+            f"{left} has times in {origins[0]}, {right} in {origins[1]}: give --time-unit, or --stamps"
+        )
+    stamps = found[0].stamps_ns, found[1].stamps_ns
+    contents = Contents(stamps, None, ranges=options.range_model(), times=found[0].origin)
     return ImageFiles(f"{left} and {right}", (files[0], files[1]), contents)
 
 
@@ -81,27 +99,53 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: natural_key(path.name))
 
 
-def _times(folder: Path, files: list[Path], table: Path | None, rate_hz: float | None) -> Ints:
-    """(n,) times of images [ns]: from a table, from the numbers in their names and a rate, or their names."""
+def _times(folder: Path, files: list[Path], table: Path | None, options: ImportOptions) -> Times:
+    """Times of images (n,): from a table, from their names, from a table beside them, or from the numbers in
+    their names and a rate.
+    """
+    names, unit, rate_hz = [path.stem for path in files], options.time_unit, options.rate_hz
     if table is not None:
-        stamps = read_stamps(table)
-        if len(stamps) != len(files):
+        times = read_times(table, unit, rate_hz)
+        if len(times.stamps_ns) != len(files):
             raise InputError(
-                f"{table}: {len(stamps)} timestamps for the {len(files)} images of {folder}; give one row an "
-                "image, in the natural order of their names"
+                f"{table}: {len(times.stamps_ns)} timestamps for the {len(files)} images of {folder}; give "
+                "one row an image, in the natural order of their names"
             )
-        return stamps
-    times: list[int] = []
-    for path in files:
-        if rate_hz is None:
-            time = stamp_of_name(path.stem)
-            wrong, advice = "is no time", "give --rate-hz for numbered images, or --stamps FILE"
-        else:
-            digits = re.findall(r"\d+", path.stem)
-            is_number = bool(digits) and len(digits[-1]) <= 9
-            time = round(int(digits[-1]) * 1e9 / rate_hz) if is_number else None
-            wrong, advice = "ends in no number", "give --stamps FILE instead of --rate-hz"
-        if time is None:
-            raise InputError(f"{folder}: the name {path.name} {wrong}; {advice}")
-        times.append(time)
-    return np.array(times, dtype=np.int64)
+        _require_as_named(folder, names, times, table)
+        return times
+    if (named := times_of_names(folder, names, unit, rate_hz)) is not None:
+        return named
+    if rate_hz is None:
+        for place in (folder / name for folder in (folder, folder.parent) for name in TABLES):
+            if place.is_file() and len((beside := read_times(place, unit)).stamps_ns) == len(files):
+                return Times(beside.stamps_ns, f"{beside.origin}, of {place.name} beside them")
+        raise InputError(
+            f"{folder}: the name {files[0].name} states no time; give --rate-hz for numbered images, "
+            "--stamps FILE for a table, or --time-unit if the numbers are times"
+        )
+    numbers = numbers_of_names(names)
+    if numbers is None:
+        raise InputError(
+            f"{folder}: names such as {files[0].name} have no number of the image; give --stamps FILE "
+            "instead of --rate-hz"
+        )
+    stamps_ns = np.array([round(number * 1e9 / rate_hz) for number in numbers], dtype=np.int64)
+    return Times(stamps_ns, "numbers in the names and --rate-hz")
+
+
+def _require_as_named(folder: Path, names: list[str], times: Times, table: Path) -> None:
+    """Raise InputError for times of a table whose intervals are not those that the names state."""
+    named = None
+    with suppress(InputError):
+        named = times_of_names(folder, names)
+    if named is None or len(names) < 2:
+        return
+    in_table, in_names = (
+        float(np.median(np.diff(np.sort(each)))) for each in (times.stamps_ns, named.stamps_ns)
+    )
+    if in_names and not 1.0 / RATE_AGREES < in_table / in_names < RATE_AGREES:
+        raise InputError(
+            f"{table}: images {1e-9 * in_table:.4g} s apart (times in {times.origin}), but the names of "
+            f"{folder} say {1e-9 * in_names:.4g} s ({named.origin}); state the unit of the table with "
+            "--time-unit, or correct it"
+        )

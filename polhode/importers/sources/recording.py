@@ -70,9 +70,15 @@ class Contents:
     tables: Mapping[str, Path] = field(default_factory=dict)
     """Files of a dataset that are copied as they are, by their name below mav0"""
     masks: tuple[Path | None, Path | None] = (None, None)
-    """Folders of masks, each <stamp of the image>.png"""
+    """Folders of masks"""
+    files: tuple[Mapping[int, str], Mapping[int, str]] = field(default_factory=lambda: ({}, {}))
+    """Where there are masks: timestamp of each image [ns] -> its file"""
     ranges: RangeModel | None = None
     """The right images are ranges of the left ones' pixels; None: they are a second camera's"""
+    calibration: tuple[Path, ...] = ()
+    """Files of a calibration that lie beside the images"""
+    times: str = "nanoseconds, as the format has them"
+    """What the times were written in, and how that is known"""
     notes: tuple[str, ...] = ()
     """What was chosen among several things, for the user"""
     warnings: tuple[str, ...] = ()

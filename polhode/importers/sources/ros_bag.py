@@ -4,8 +4,9 @@ The bag is read twice: for times, calibration and poses, then for the images tha
 decoded once. Messages are read by ROS's own definitions of their types, never by those that a bag brings.
 """
 
+import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from polhode.geometry.lie import Array, Ints
-from polhode.importers.calibrations.camera_info import CameraInfo, rig_of
-from polhode.importers.calibrations.rig import Rig
+from polhode.importers.calibrations.camera_info import CameraInfo, read_one, rig_of, shift_between
+from polhode.importers.calibrations.rig import Rig, with_virtual_camera
 from polhode.importers.options import ImportOptions
+from polhode.importers.sources.image_folders import natural_key
+from polhode.importers.sources.mcap_file import McapReader
 from polhode.importers.sources.recording import Contents, FramedImage, Poses, Wanted
 from polhode.importers.sources.ros_messages import (
     CAMERA_INFO,
@@ -29,11 +32,19 @@ from polhode.importers.sources.ros_messages import (
     image_of,
     plain,
     pose_of,
+    ranges_of,
     stamp_of,
 )
+from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import require_part
 from polhode.runtime.progress import Progress
+
+SUFFIXES = (".bag", ".db3", ".mcap")
+SET_BACK_NS = 500_000_000
+"""What stamps go back by, in the order of recording, where a clock was set; drivers deliver late by less"""
+DEPTH_UNIT_M = 1e-3
+"""Of depth images of 16 bits (ROS's REP 118)"""
 
 
 def is_bag(path: Path) -> bool:
@@ -42,25 +53,32 @@ def is_bag(path: Path) -> bool:
         return any(
             each.suffix in (".db3", ".mcap") or each.name == "metadata.yaml" for each in path.iterdir()
         )
-    return path.suffix in (".bag", ".db3", ".mcap")
+    return path.suffix.lower() in SUFFIXES
 
 
 @contextmanager
 def opened_bag(path: Path, options: ImportOptions, progress: Progress) -> Iterator["RosBag"]:
     """The bag, its times read. Raises InputError for what is missing, cut off or not there to be chosen."""
     require_part("rosbags", "bags")
-    if path.is_dir() and not (path / "metadata.yaml").exists():
+    files = [path]
+    if path.is_dir():
         files = sorted(each for each in path.iterdir() if each.suffix in (".db3", ".mcap"))
-        if len(files) != 1:
+        if not (path / "metadata.yaml").exists() and len(files) != 1:
             raise InputError(f"{path}: metadata.yaml is missing; make it again: ros2 bag reindex {path}")
-        path = files[0]
+        files.sort(key=lambda each: natural_key(each.name))
     from rosbags import rosbag1, rosbag2
 
     with _readable(path):
-        reader: Any = rosbag1.Reader(path) if path.suffix == ".bag" else rosbag2.Reader(path)
+        reader: Any
+        if files and all(each.suffix.lower() == ".mcap" for each in files):
+            reader = McapReader(files)
+        elif path.suffix.lower() == ".bag":
+            reader = rosbag1.Reader(path)
+        else:
+            reader = rosbag2.Reader(path if (path / "metadata.yaml").exists() else files[0])
         reader.open()
     try:
-        yield _indexed(path, reader, options, progress)
+        yield _indexed(path, reader, files, options, progress)
     finally:
         reader.close()
 
@@ -76,7 +94,7 @@ class RosBag:
     """Topic of the left and of the right camera -> number of the message -> index into sorted timestamps"""
 
     def images(self, wanted: Wanted) -> Iterator[FramedImage]:
-        """The wanted images, in the order in which they were recorded."""
+        """The wanted images, in the order of the bag."""
         topics = list(self._orders)
         counts, left = dict.fromkeys(topics, 0), len(wanted[0]) + len(wanted[1])
         for topic, _, content in self._bag.messages(topics):
@@ -87,7 +105,13 @@ class RosBag:
                 continue
             name = f"{self.name}, {topic}, image {number}"
             with self._bag.readable():
-                image = image_of(self._bag.decoded(topic, content), self._bag.kinds[topic], name)
+                message, kind = self._bag.decoded(topic, content), self._bag.kinds[topic]
+                ranges = self.contents.ranges if camera else None
+                image = (
+                    image_of(message, kind, name)
+                    if ranges is None
+                    else ranges_of(message, kind, name, ranges)
+                )
             yield FramedImage(camera, index, image, name)
             left -= 1
             if not left:
@@ -97,9 +121,10 @@ class RosBag:
 class _Bag:
     """The messages of a bag, and the first of each topic that was read."""
 
-    def __init__(self, path: Path, reader: Any) -> None:
+    def __init__(self, path: Path, reader: Any, files: Sequence[Path]) -> None:
         """Raises InputError for a bag without messages."""
-        self.path, self.is_ros1, self._reader = path, path.suffix == ".bag", reader
+        self.path, self._reader, self._files = path, reader, files
+        self.is_ros1 = reader.is_ros1 if isinstance(reader, McapReader) else path.suffix.lower() == ".bag"
         self._types = message_types(self.is_ros1)
         self.kinds = {each.topic: str(each.msgtype) for each in reader.connections if each.msgcount}
         self.firsts: dict[str, bytes] = {}
@@ -129,6 +154,33 @@ class _Bag:
         decode = self._types.deserialize_ros1 if self.is_ros1 else self._types.deserialize_cdr
         return decode(content, kind)
 
+    def logged_ns(self, topic: str) -> Ints | None:
+        """Times (n,) at which the messages of a topic were recorded, in that order; None: as they are
+        read.
+        """
+        if isinstance(self._reader, McapReader):
+            return None
+        if self.is_ros1:
+            entries = [
+                (each.chunk_pos, each.offset, each.time)
+                for connection in self._reader.connections
+                if connection.topic == topic
+                for each in self._reader.indexes[connection.id]
+            ]
+            return np.array([time for _, _, time in sorted(entries)], dtype=np.int64)
+        times: list[int] = []
+        for file in self._files:
+            if file.suffix != ".db3":
+                return None
+            with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as base:
+                rows = base.execute(
+                    "SELECT messages.timestamp FROM messages JOIN topics ON messages.topic_id = topics.id "
+                    "WHERE topics.name = ? ORDER BY messages.id",
+                    (topic,),
+                )
+                times += [int(row[0]) for row in rows]
+        return np.array(times, dtype=np.int64)
+
     def first(self, topic: str) -> Any:
         """The first message of a topic that was read."""
         with self.readable():
@@ -148,7 +200,9 @@ def _readable(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         said = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
-        repair = "rosbag reindex" if path.suffix == ".bag" else "ros2 bag reindex"
+        repair = {".bag": "rosbag reindex", ".mcap": "mcap recover"}.get(
+            path.suffix.lower(), "ros2 bag reindex"
+        )
         raise InputError(
             f"{path}: empty, damaged or cut off ({said}); repair it ({repair}), or record it again"
         ) from error
@@ -164,10 +218,14 @@ def message_types(is_ros1: bool) -> Any:
     return store
 
 
-def _indexed(path: Path, reader: Any, options: ImportOptions, progress: Progress) -> RosBag:
+def _indexed(
+    path: Path, reader: Any, files: Sequence[Path], options: ImportOptions, progress: Progress
+) -> RosBag:
     """Times, calibration and poses, by a first reading."""
-    bag = _Bag(path, reader)
+    with _readable(path):
+        bag = _Bag(path, reader, files)
     kinds, topics = bag.kinds, _image_topics(bag, options)
+    ranges = _range_model(bag, topics, options)
     infos = [f"{_base(topic).rpartition('/')[0]}/camera_info" for topic in topics]
     pose_topic = _pose_topic(bag, options)
     trees = [
@@ -193,6 +251,25 @@ def _indexed(path: Path, reader: Any, options: ImportOptions, progress: Progress
                     bag.firsts.setdefault(topic, content)
             advance()
     orders, stamps, warnings = {}, [], []
+    parts: dict[str, Ints] = {}
+    for topic in topics:
+        times = np.array(times_ns[topic], dtype=np.int64)
+        with bag.readable():
+            parts[topic] = recorded_parts(times if times.any() else logged_ns[topic], bag.logged_ns(topic))
+    part = int(np.bincount(parts[topics[0]]).argmax()) if len(parts[topics[0]]) else 0
+    if (number := max(int(each.max(initial=0)) for each in parts.values()) + 1) > 1:
+        if messages or (options.poses or "none") != "none":
+            raise InputError(
+                f"{path}: the clock was set back while it was recorded, and the poses of its {number} "
+                "parts are "
+                "mixed; give --poses none, or record again"
+            )
+        left_out = sum(int((each != part).sum()) for each in parts.values())
+        warnings.append(
+            f"{path}: the clock was set back while it was recorded, which makes {number} parts; part "
+            f"{part + 1}, "
+            f"the longest, is imported, {left_out} images of the others are left out"
+        )
     for topic in topics:
         # of messages with the same time the first one
         times = np.array(times_ns[topic], dtype=np.int64)
@@ -203,12 +280,20 @@ def _indexed(path: Path, reader: Any, options: ImportOptions, progress: Progress
             warnings.append(
                 f"{path}: {topic} has no timestamps; the times of recording are taken, which scatter"
             )
-        unique, first = np.unique(times, return_index=True)
-        if repeated := len(times) - len(unique):
+        kept = np.flatnonzero(parts[topic] == part)
+        unique, first = np.unique(times[kept], return_index=True)
+        if repeated := len(kept) - len(unique):
             warnings.append(f"{path}: {repeated} images of {topic} repeat a timestamp; not used")
-        orders[topic] = {int(number): index for index, number in enumerate(first)}
+        orders[topic] = {int(kept[number]): index for index, number in enumerate(first)}
         stamps.append(unique)
-    rig, said = (None, []) if options.calibration else _rig(bag, topics, infos, frames)
+    rig: Rig | None = None
+    said: list[str] = []
+    if options.calibration:
+        pass
+    elif ranges is not None:
+        rig, said = _range_rig(bag, topics, infos)
+    else:
+        rig, said = _rig(bag, topics, infos, frames)
     # frame of the left camera: of its camera_info, else of its images
     named = next((name for name in (infos[0], topics[0]) if name in bag.firsts), None)
     camera = plain(bag.first(named).header.frame_id) if named else ""
@@ -217,7 +302,9 @@ def _indexed(path: Path, reader: Any, options: ImportOptions, progress: Progress
         (stamps[0], stamps[1]),
         rig,
         poses,
-        notes=(f"left {topics[0]}, right {topics[1]}", *notes),
+        ranges=ranges,
+        times="the headers of the messages",
+        notes=(_topics_in_words(topics, ranges), *notes),
         warnings=(*warnings, *said, *remarks),
     )
     return RosBag(str(path), contents, bag, orders)
@@ -227,15 +314,21 @@ def _image_topics(bag: _Bag, options: ImportOptions) -> tuple[str, str]:
     """Left and right. Raises InputError when they are not there, or cannot be told apart."""
     path, kinds = bag.path, bag.kinds
     images = sorted(topic for topic, kind in kinds.items() if kind in (RAW, COMPRESSED))
-    shown = ", ".join(images) or f"none among {', '.join(sorted(kinds))}"
+    shown = ", ".join(images) or f"none among {', '.join(sorted(kinds)[:20])}"
     for option, topic in (("--left-topic", options.left_topic), ("--right-topic", options.right_topic)):
         if topic is not None and topic not in images:
             raise InputError(f"{path}: {option} {topic} has no images; topics with images: {shown}")
     if options.left_topic is not None and options.left_topic == options.right_topic:
         raise InputError(f"--left-topic and --right-topic are both {options.left_topic}; give two topics")
-    usable = [topic for topic in images if "depth" not in topic.lower()]
+    if options.left_topic is not None and options.right_topic is not None:
+        return options.left_topic, options.right_topic
     # compressed images beside the same ones raw
-    usable = [topic for topic in usable if not (kinds[topic] == COMPRESSED and _base(topic) in usable)]
+    images = [topic for topic in images if _base(topic) == topic or _base(topic) not in images]
+    depth = [topic for topic in images if _is_depth(topic)]
+    usable = [topic for topic in images if topic not in depth]
+    aligned = [topic for topic in depth if "aligned" in topic.lower()] or depth
+    if len(usable) == 1 and len(aligned) == 1:
+        return usable[0], aligned[0]
     if len(usable) < 2:
         raise InputError(f"{path}: a stereo pair needs two topics with images; topics with images: {shown}")
     left = options.left_topic or _only(usable, ("left", "cam0", "camera0", "cam_0", "infra1"))
@@ -257,7 +350,67 @@ def _only(topics: Sequence[str], marks: Sequence[str]) -> str | None:
 
 
 def _base(topic: str) -> str:
-    return topic.removesuffix("/compressed")
+    return topic.removesuffix("/compressed").removesuffix("/compressedDepth")
+
+
+def _is_depth(topic: str) -> bool:
+    return "depth" in topic.lower()
+
+
+def _topics_in_words(topics: Sequence[str], ranges: RangeModel | None) -> str:
+    if ranges is None:
+        return f"left {topics[0]}, right {topics[1]}"
+    return f"images {topics[0]}, ranges {topics[1]}, {ranges.scale_m:g} m per unit (--range-scale-m)"
+
+
+def _range_model(bag: _Bag, topics: Sequence[str], options: ImportOptions) -> RangeModel | None:
+    """What the values of a depth topic mean; None: the second topic is a camera's. Raises InputError."""
+    if not _is_depth(topics[1]):
+        return None
+    if options.range_sigma_m is None:
+        raise InputError(
+            f"{bag.path}: {topics[1]} has depth images; give --range-sigma-m, the standard deviation of a "
+            "pixel "
+            "[m], and --range-growth-per-m if it grows with the square of the depth"
+        )
+    scale_m = options.range_scale_m or DEPTH_UNIT_M
+    return RangeModel(scale_m, options.range_sigma_m, options.range_growth_per_m or 0.0)
+
+
+def _range_rig(bag: _Bag, topics: Sequence[str], infos: Sequence[str]) -> tuple[Rig, list[str]]:
+    """The camera of images with ranges, and warnings. Raises InputError where the bag has no calibration."""
+    if infos[0] not in bag.firsts:
+        raise InputError(
+            f"{bag.path}: {infos[0]} is missing, the calibration of {topics[0]}; give --calibration FILE"
+        )
+    rectified = "rect" in _base(topics[0]).rpartition("/")[2]
+    rig = with_virtual_camera(read_one(_info(bag, infos[0]), rectified))
+    frames = [plain(bag.first(topic).header.frame_id) for topic in topics]
+    if frames[0] == frames[1]:
+        return rig, []
+    return rig, [
+        f"{bag.path}: {topics[1]} is of frame {frames[1]}, {topics[0]} of {frames[0]}: ranges must be of the "
+        "pixels of the images; record depth that is aligned to them"
+    ]
+
+
+def recorded_parts(stamps_ns: Sequence[int] | Ints, logged_ns: Ints | None) -> Ints:
+    """The part (n,) of a recording that each message belongs to: a new one begins where a clock was set back.
+
+    stamps_ns: (n,) of messages as they are read, by time of recording; logged_ns: those times in the order of
+    recording; None: messages are read in that order.
+    """
+    times = np.asarray(stamps_ns, dtype=np.int64)
+    order = np.arange(len(times))
+    if logged_ns is not None and len(logged_ns) == len(times):
+        order[np.argsort(logged_ns, kind="stable")] = np.arange(len(times))
+    parts, latest, part = np.zeros(len(times), dtype=np.int64), -(2**62), 0
+    for number in order.tolist():
+        if times[number] < latest - SET_BACK_NS:
+            part, latest = part + 1, -(2**62)
+        latest = max(latest, int(times[number]))
+        parts[number] = part
+    return parts
 
 
 def _pose_topic(bag: _Bag, options: ImportOptions) -> str | None:
@@ -301,7 +454,7 @@ def _rig(
     X_tf = frames.fixed(infos[0].frame, infos[1].frame) if not rectified else None
     if X_tf is None or not abs(X_tf[:3, 3]).any():
         return rig_of(infos, rectified), []
-    if not infos[1].P[:2, 3].any():
+    if not shift_between(infos).any() or rig_of(infos).remarks:
         return rig_of(infos, X_01=X_tf + 0.0), []
     rig = rig_of(infos)
     # smaller differences between tf and camera_info, in metres and in the matrix, are rounding

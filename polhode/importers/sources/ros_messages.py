@@ -1,5 +1,6 @@
 """Messages of ROS: images as grey pixels, poses as matrices, and the tree of frames (tf)."""
 
+import re
 import struct
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from polhode.files.images import Raw
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, make_pose, matrix_from_wxyz
 from polhode.importers.sources.recording import DecodedImage, StoredImage
+from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 
 RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -26,7 +28,11 @@ POSES = (
     "geometry_msgs/msg/TransformStamped",
 )
 _COLOURS = {"rgb8": "RGB", "bgr8": "BGR", "8UC3": "BGR", "rgba8": "RGBA", "bgra8": "BGRA", "8UC4": "BGRA"}
-_GREYS = {"mono8": 1, "8UC1": 1, "mono16": 2, "16UC1": 2}
+_DEEP_COLOURS = ("rgb", "bgr", "rgba", "bgra")
+"""With 16 behind"""
+_LUMINANCE = 0.299, 0.587, 0.114
+"""Of red, green and blue (ITU-R BT.601), as Pillow weighs them"""
+_GREYS = {"mono8": 1, "8UC1": 1, "mono10": 2, "mono12": 2, "mono16": 2, "16UC1": 2}
 _LUMA = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 """Position of the brightness in its two bytes."""
 _BAYER = {
@@ -69,23 +75,46 @@ def image_of(message: Any, kind: str, name: str) -> StoredImage | DecodedImage:
     return DecodedImage(_grey(message, name))
 
 
+def ranges_of(message: Any, kind: str, name: str, model: RangeModel) -> StoredImage | DecodedImage:
+    """A depth image message: 16 bits as they are, metres in units of the model. Raises InputError."""
+    if kind == COMPRESSED:
+        content = bytes(message.data)
+        # the plugin compressedDepth puts 12 bytes before a PNG
+        at = content.find(b"\x89PNG", 0, 64)
+        if at < 0 or "32FC1" in str(message.format):
+            raise InputError(
+                f"{name}: depth compressed as {str(message.format)[:40]!r}; record it raw, 16UC1"
+            )
+        return StoredImage(content[at:], ".png")
+    if str(message.encoding) != "32FC1":
+        return DecodedImage(_grey(message, name))
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    data = np.asarray(message.data, dtype=np.uint8)
+    if width < 1 or height < 1 or step < 4 * width or len(data) < height * step:
+        raise InputError(f"{name}: {len(data)} bytes do not hold {width}x{height} px; it is damaged")
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, : 4 * width])
+    units = rows.view(">f4" if message.is_bigendian else "<f4").astype(np.float64) / model.scale_m
+    known = np.isfinite(units) & (units > 0.0) & (units < 65535.5)
+    return DecodedImage(np.where(known, np.rint(np.where(known, units, 0.0)), 0.0).astype(np.uint16))
+
+
 def _grey(message: Any, name: str) -> Raw:
     encoding = str(message.encoding)
     height, width, step = int(message.height), int(message.width), int(message.step)
-    pattern = encoding.removeprefix("bayer_").removesuffix("8").removesuffix("16")
-    is_bayer = encoding.startswith("bayer_") and pattern in _BAYER
-    if encoding in _COLOURS:
-        channels = len(_COLOURS[encoding])
+    bayer = re.fullmatch(r"bayer_(rggb|bggr|gbrg|grbg)(8|10|12|14|16)", encoding)
+    if encoding.removesuffix("16") in _DEEP_COLOURS or encoding in _COLOURS:
+        channels = 4 if "a" in encoding or encoding == "8UC4" else 3
     elif encoding in _LUMA:
         channels = 2
-    elif encoding in _GREYS or is_bayer:
+    elif encoding in _GREYS or bayer:
         channels = 1
     else:
         raise InputError(
             f"{name}: the encoding {encoding[:40]!r} is not supported; record mono8, mono16, rgb8, bgr8 or "
             "bayer"
         )
-    size = 2 if encoding.endswith("16") or _GREYS.get(encoding) == 2 else 1
+    is_deep = encoding.endswith(("10", "12", "14", "16")) or _GREYS.get(encoding) == 2
+    size = 2 if is_deep else 1
     data = np.asarray(message.data, dtype=np.uint8)
     row = width * channels * size
     if width < 1 or height < 1 or step < row or len(data) < height * step:
@@ -101,7 +130,11 @@ def _grey(message: Any, name: str) -> Raw:
     grey: Raw = pixels
     if size == 2:
         grey = pixels.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
-    return cv2.cvtColor(grey, _BAYER[pattern]).astype(grey.dtype) if is_bayer else grey  # type: ignore[return-value]
+    if channels > 1:
+        order = encoding.removesuffix("16").upper()
+        weights = [_LUMINANCE["RGB".find(colour)] if colour in "RGB" else 0.0 for colour in order]
+        return np.asarray(np.rint(grey.reshape(height, width, channels) @ weights), dtype=np.uint16)
+    return cv2.cvtColor(grey, _BAYER[bayer[1]]).astype(grey.dtype) if bayer else grey  # type: ignore[return-value]
 
 
 def grey_of_colour(pixels: NDArray[np.uint8], order: str) -> NDArray[np.uint8]:

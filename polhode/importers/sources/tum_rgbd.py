@@ -19,7 +19,7 @@ from polhode.geometry.lie import Ints, make_pose, matrix_from_wxyz
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
-from polhode.importers.sources.stamp_files import read_stamps
+from polhode.importers.sources.times import read_times
 from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 
@@ -62,7 +62,7 @@ def open_tum_rgbd(path: Path, options: ImportOptions) -> ImageFiles:
 def _listing(folder: Path, name: str) -> tuple[Ints, tuple[Path, ...]]:
     """Times [ns] and files. Raises InputError for a row without a file, or one that is not in the folder."""
     table = folder / name
-    stamps_ns = read_stamps(table)
+    stamps_ns = read_times(table).stamps_ns
     files: list[Path] = []
     for number, line in enumerate(read_text(table, 512 * MIB, "a table").splitlines(), start=1):
         words = line.replace(",", " ").split(maxsplit=1)
@@ -81,7 +81,7 @@ def _poses(path: Path) -> Poses:
     """Poses of the colour camera. Raises InputError for a row that is no pose."""
     what = "timestamp tx ty tz qx qy qz qw"
     rows = np.array([row for _, row in number_rows(path, 8, what, 1_000_000)]).reshape(-1, 8)
-    stamps_ns = read_stamps(path)
+    stamps_ns = read_times(path).stamps_ns
     if len(rows) != len(stamps_ns):
         raise InputError(f"{path}: {len(rows)} of {len(stamps_ns)} rows hold a pose; give {what} in each")
     q_xyzw, p = rows[:, 4:], rows[:, 1:4]

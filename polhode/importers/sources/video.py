@@ -1,7 +1,9 @@
 """One video with the two images side by side (left, right), or two videos, read by PyAV (FFmpeg).
 
 Times are those of the container, in which some formats keep milliseconds only; a table (--stamps) or a rate
-(--rate-hz) replaces them. A first reading, without decoding, counts the frames.
+(--rate-hz) replaces them, and raw streams need one. A first reading, without decoding, counts the frames:
+those that the container hides (the edit list of a trimmed MP4) are none. Frames are turned as the container
+says.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,18 +16,22 @@ from typing import Any
 import numpy as np
 
 from polhode.files.images import Raw
-from polhode.geometry.lie import Ints
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, DecodedImage, FramedImage, Wanted
 from polhode.importers.sources.ros_messages import grey_of_colour
-from polhode.importers.sources.stamp_files import read_stamps, require_increasing
+from polhode.importers.sources.times import read_times, require_increasing, require_plausible
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import require_part
 from polhode.runtime.progress import Progress
 
 SUFFIXES = (
-    ".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".h264", ".h265", ".mjpeg",
+    ".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".h264", ".h265", ".264",
+    ".265", ".hevc", ".mjpeg", ".mjpg",
 )  # fmt: skip
+RAW_STREAMS = {
+    "h264": "H.264", "hevc": "H.265", "mjpeg": "motion JPEG", "m4v": "MPEG-4", "mpegvideo": "MPEG",
+}  # fmt: skip
+"""Names that FFmpeg has for streams without a container"""
 REPAIR = "repair it (ffmpeg -i {0} -c copy repaired.mkv), or record it again"
 
 
@@ -41,12 +47,15 @@ class Videos:
     name: str
     contents: Contents
     _paths: tuple[Path, ...] = field(repr=False)
+    _numbers: tuple[dict[int, int], ...] = field(repr=False)
+    """Of each video: the container's time of a frame -> its number; empty: frames are counted"""
 
     def images(self, wanted: Wanted) -> Iterator[FramedImage]:
         """The wanted images, in order of time; of two videos those of both in turn."""
         beside = len(self._paths) == 1
         for number, path in enumerate(self._paths):
-            for index, pixels in _decoded(path, wanted[0] | wanted[1] if beside else wanted[number]):
+            chosen = wanted[0] | wanted[1] if beside else wanted[number]
+            for index, pixels in _decoded(path, chosen, self._numbers[number]):
                 half = pixels.shape[1] // 2
                 parts = [(0, pixels[:, :half]), (1, pixels[:, half:])] if beside else [(number, pixels)]
                 for camera, part in parts:
@@ -58,28 +67,59 @@ def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progres
     """The videos, their times read. Raises InputError for what is damaged, of odd width, or without times."""
     require_part("av", "videos")
     tables = options.stamps if len(options.stamps) == len(paths) else options.stamps * len(paths)
-    stamps, bits = [], None
+    stamps, numbers, bits, notes, origin = [], [], None, [], "the video's own times"
     for number, path in enumerate(paths):
-        times, width, is_deep = _times(path, progress)
-        bits = 16 if is_deep else bits
-        if len(paths) == 1 and width % 2:
+        found = _frames(path, progress)
+        bits = 16 if found.is_deep else bits
+        if found.turned_deg:
+            notes.append(f"{path.name}: turned by {found.turned_deg} degrees, as its tag says")
+        if len(paths) == 1 and found.width_px % 2:
             raise InputError(
-                f"{path}: {width} px wide, which is odd, so it is no two images side by side; give a video "
-                "of two equal halves, or one for each camera"
+                f"{path}: {found.width_px} px wide, which is odd, so it is no two images side by side; "
+                "give a "
+                "video of two equal halves, or one for each camera"
             )
         if options.stamps:
-            given = read_stamps(tables[number])
-            if len(given) != len(times):
+            given = read_times(tables[number], options.time_unit, options.rate_hz)
+            if len(given.stamps_ns) != found.count:
                 raise InputError(
-                    f"{tables[number]}: {len(given)} timestamps for the {len(times)} frames of {path}"
+                    f"{tables[number]}: {len(given.stamps_ns)} timestamps for the {found.count} frames of "
+                    f"{path}"
                 )
-            times = given
+            times, origin = given.stamps_ns, given.origin
         elif options.rate_hz is not None:
-            times = np.array([round(k * 1e9 / options.rate_hz) for k in range(len(times))], dtype=np.int64)
+            times = np.array([round(k * 1e9 / options.rate_hz) for k in range(found.count)], dtype=np.int64)
+            origin = "--rate-hz"
+        else:
+            times = np.array([round(pts * found.base * 10**9) for pts in found.pts], dtype=np.int64)
+            if not len(times):
+                raise InputError(
+                    f"{path}: {found.format}, whose frames have no times; give --rate-hz, or --stamps FILE"
+                )
+            require_plausible(path, times, "give --rate-hz, or --stamps FILE, if the video's times are wrong")
         require_increasing(path, times)
         stamps.append(times)
-    left, right = stamps[0], stamps[-1]
-    return Videos(" and ".join(map(str, paths)), Contents((left, right), None, bits=bits), tuple(paths))
+        numbers.append({pts: k for k, pts in enumerate(found.pts)})
+    contents = Contents((stamps[0], stamps[-1]), None, bits=bits, times=origin, notes=tuple(notes))
+    return Videos(" and ".join(map(str, paths)), contents, tuple(paths), tuple(numbers))
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """What a first reading finds of the frames of a video."""
+
+    count: int
+    pts: tuple[int, ...]
+    """Times in units of the base, in order; empty: the frames have none"""
+    base: Fraction
+    """[s]"""
+    width_px: int
+    """Turned as they are shown"""
+    is_deep: bool
+    """More than 8 bits"""
+    turned_deg: int
+    """Counterclockwise"""
+    format: str
 
 
 @contextmanager
@@ -94,60 +134,85 @@ def _readable(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: empty, damaged or cut off ({said}); {REPAIR.format(path)}") from error
 
 
-def _times(path: Path, progress: Progress) -> tuple[Ints, int, bool]:
-    """Times of the frames [ns] by the packets of the stream, width of the images [px], whether deep ones."""
+def _frames(path: Path, progress: Progress) -> _Frames:
+    """The frames by the packets of the stream; where these have no times, by decoding all of them."""
     import av
 
-    times: list[int] = []
+    pts: list[int] = []
+    count, turned_deg = 0, 0
     with _readable(path), av.open(str(path)) as container, progress.stage("reading times", 0) as advance:
         if not container.streams.video:
             raise InputError(f"{path}: no video in it; give a recording of the cameras")
         stream = container.streams.video[0]
-        width, is_deep, base = int(stream.width), _is_deep(stream.format), stream.time_base or Fraction(0)
-        for packet in container.demux(stream):
-            if packet.size and packet.pts is not None:
-                times.append(round(Fraction(packet.pts) * Fraction(base) * 10**9))
-                advance()
-    if not times:
+        base, is_deep = Fraction(stream.time_base or 0), _is_deep(stream.format)
+        raw = RAW_STREAMS.get(container.format.name)
+        if raw is None:
+            for packet in container.demux(stream):
+                if packet.size and not packet.is_discard:
+                    count += 1
+                    pts += [] if packet.pts is None else [packet.pts]
+                    advance()
+    if len(pts) < count:
+        pts = []
+    with _readable(path), av.open(str(path)) as container, progress.stage("reading times", 0) as advance:
+        width, height = 0, 0
+        for frame in container.decode(container.streams.video[0]):
+            width, height, turned_deg = frame.width, frame.height, int(frame.rotation) % 360
+            if pts:
+                break
+            count = count + 1 if raw else count
+            if not raw:
+                break
+            advance()
+    if not count or not width:
         raise InputError(f"{path}: a video without frames; {REPAIR.format(path)}")
-    return np.array(sorted(times), dtype=np.int64), width, is_deep
+    shown_px = height if turned_deg in (90, 270) else width
+    described = f"a raw stream of {raw}" if raw else "a video"
+    return _Frames(count, tuple(sorted(pts)), base, shown_px, is_deep, turned_deg, described)
 
 
-def _decoded(path: Path, wanted: frozenset[int]) -> Iterator[tuple[int, Raw]]:
-    """The wanted frames of a video, by their number, as grey pixels."""
+def _decoded(path: Path, wanted: frozenset[int], numbers: dict[int, int]) -> Iterator[tuple[int, Raw]]:
+    """The wanted frames of a video, by their number, as grey pixels. ``numbers``: of times of the container;
+    empty: frames are counted.
+    """
     import av
 
     if not wanted:
         return
-    last, count = max(wanted), 0
+    missing, count = set(wanted), 0
     with _readable(path):
         container = av.open(str(path))
     try:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         frames = iter(container.decode(stream))
-        while count <= last:
+        while missing:
             with _readable(path):
                 frame = next(frames, None)
                 if frame is None:
                     break
-                pixels = _grey(frame) if count in wanted else None
+                number = numbers.get(frame.pts or 0, -1) if numbers else count
+                pixels = _grey(frame) if number in missing else None
             if pixels is not None:
-                yield count, pixels
+                missing.discard(number)
+                yield number, pixels
             count += 1
     finally:
         container.close()
-    if count <= last:
+    if missing:
         raise InputError(f"{path}: only the first {count} frames can be decoded; {REPAIR.format(path)}")
 
 
 def _grey(frame: Any) -> Raw:
-    """(H, W) the brightness of a frame, over the full range of 8 or 16 bits."""
+    """(H, W) the brightness of a frame, over the full range of 8 or 16 bits, turned as it is shown."""
     deep = _is_deep(frame.format)
     if frame.format.is_rgb and not deep:
-        return grey_of_colour(frame.to_ndarray(format="rgb24"), "RGB")
-    grey: Raw = frame.to_ndarray(format="gray16le" if deep else "gray")
-    return grey
+        grey: Raw = grey_of_colour(frame.to_ndarray(format="rgb24"), "RGB")
+    else:
+        grey = frame.to_ndarray(format="gray16le" if deep else "gray")
+    turns = int(frame.rotation) % 360 // 90
+    upright: Raw = np.rot90(grey, turns).copy()
+    return upright
 
 
 def _is_deep(pixels: Any) -> bool:

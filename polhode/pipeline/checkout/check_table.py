@@ -41,6 +41,8 @@ CHECK_TABLE = {
         "data.csv.", "WARN"),
     # root mean square of the rows' common offset: sound sequences have 0.06 at most, matching accepts 0.8
     "rows": CheckRow("rig", "vertical disparity", "px", 0.3, 0.8, CALIBRATE, "WARN"),
+    "baseline": CheckRow("rig", "baseline", "m", 2.0, 5.0,
+        "If the calibration is in millimetres, import with --unit mm: all lengths scale with it.", "FAIL"),
     "pitch": CheckRow("rig", "pitch of the right camera", "deg", None, None, CALIBRATE, "WARN"),
     "roll": CheckRow("rig", "roll of the right camera", "deg", None, None, CALIBRATE, "WARN"),
     "focal lengths": CheckRow("rig", "difference of the focal lengths", "%", 0.3, None, CALIBRATE, "WARN"),
@@ -121,12 +123,24 @@ CHECK_TABLE = {
     "jitter": CheckRow("time", "jitter of the intervals", "%", 25.0, None,
         "Nothing is lost by uneven stamps if they are right; make sure that they are those of the exposures, "
         "not of the transfer."),
+    "interval": CheckRow("time", "usual interval between pairs", "s", 60.0, 3600.0,
+        "Look at the unit of the timestamps (import --time-unit): rates and motion scale with it.", "FAIL"),
+    "short interval": CheckRow("time", "usual interval between pairs", "s", 2e-3, 1e-3,
+        "Look at the unit of the timestamps (import --time-unit): rates and motion scale with it.", "FAIL",
+        True),
+    "duration": CheckRow("time", "duration", "days", 1.0, 30.0,
+        "Look at the unit of the timestamps (import --time-unit), or at a clock that was set.", "FAIL"),
+    # placeholders of 1 Hz are common; a wrong unit is a factor of a thousand
+    "stated rate": CheckRow("time", "interval over that of rate_hz in sensor.yaml", "", 300.0, 300.0,
+        "Correct the unit of the timestamps (import --time-unit), or rate_hz in sensor.yaml."),
     "gap": CheckRow("time", "longest gap", "intervals", 5.0, None,
         "The motion is bridged over a gap by the dynamics alone: record without gaps, or cut the sequence "
         "there."),
     "masks": CheckRow("background", "images with a mask, where some have one", "%", 100.0, None,
         "Give a mask for every frame (masks0/, masks1/), or for none: a frame without one is used whole.",
         at_least=True),
+    "inverted masks": CheckRow("background", "masks that look inverted", "%", 20.0, 50.0,
+        "Exchange black and white: the target is what is not 0."),
     "doubtful masks": CheckRow("background", "pairs with doubtful segmentation masks", "%", 20.0, None, ""),
     "border": CheckRow("background", "bright part of the border of the image", "%", 5.0, 60.0,
         "If it is background (Earth, a wall), give masks of the target in masks0/ and masks1/; if it is the "

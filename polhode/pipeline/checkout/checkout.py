@@ -17,7 +17,13 @@ from polhode.pipeline.checkout.rig_tilt import RowFit, fit_rows, tilt_checks
 from polhode.pipeline.checkout.sample import PLACES, Sample, places, take_sample
 from polhode.pipeline.checkout.target_motion import motion_checks
 from polhode.pipeline.checkout.target_range import range_checks
-from polhode.pipeline.checkout.timing import frame_checks, inspector_checks, read_stamps, stamp_checks
+from polhode.pipeline.checkout.timing import (
+    frame_checks,
+    inspector_checks,
+    plausible_checks,
+    read_stamps,
+    stamp_checks,
+)
 from polhode.pipeline.context import rectifier_of, with_found_masks
 from polhode.records.camera_folders import find_cameras
 from polhode.records.dataset import StereoSequence, open_sequence
@@ -102,7 +108,7 @@ def checkout(
     rectifier = with_found_masks(sequence, rectifier, frames.tolist(), processes, shown)
     findings = find(sequence, rectifier, frames, processes, shown)
     of_times = *stamp_checks(read_stamps(sequence_folder)), *frame_checks(sequence)
-    checks = [*image_checks(findings), *of_times, *inspector_checks(sequence)]
+    checks = [*image_checks(findings), *of_times, *plausible_checks(sequence), *inspector_checks(sequence)]
     checks.sort(key=lambda check: get_args(Group).index(check.group))
     result = CheckoutResult(
         status=worst(checks), pairs=len(sequence), pairs_examined=len(frames), rig=rig, checks=tuple(checks)
@@ -137,7 +143,8 @@ def warn_before_run(sequence: StereoSequence, rectifier: Rectifier) -> None:
         frames = frames[:: 2 if len(frames) == 2 * WARNING_PLACES else 1]
         checks = image_checks(find(sequence, rectifier, frames, 1, Silent()))
         checks = [each for each in checks if each.group not in ("motion", "time")]
-        for check in (*checks, *frame_checks(sequence), *inspector_checks(sequence)):
+        of_times = *frame_checks(sequence), *plausible_checks(sequence)
+        for check in (*checks, *of_times, *inspector_checks(sequence)):
             if check.status != "PASS" and check.value is not None and check.name not in said:
                 _log.warning("checkout: %s: %s", check.status, in_a_line(check))
     except (ArithmeticError, LookupError, ValueError, MemoryError):

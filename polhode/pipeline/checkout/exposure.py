@@ -136,6 +136,9 @@ def background_checks(sample: Sample) -> list[CheckoutCheck]:
         taken = "is brighter than a dark sky" if doubtful is None else "stands before the background"
         finding += f" The target is taken to be what {taken}."
     checks = [make_check("masks", 100.0 * float(masked.mean()) if masked.any() else None, finding)]
+    if inverted := [each for pair in sample.pairs for each in pair.inverted_masks]:
+        finding = f"{sum(inverted)} of {len(inverted)} masks cover the border and leave out something inside."
+        checks.append(make_check("inverted masks", 100.0 * float(np.mean(inverted)), finding))
     if doubtful is not None:
         finding = f"{doubtful[0]} of {doubtful[1]} {sample.noun}, before a background that is not dark."
         advice = f"Give masks of the target in masks0/{'' if sample.has_ranges else ' and masks1/'}."

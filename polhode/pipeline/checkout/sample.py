@@ -16,6 +16,7 @@ from polhode.frontend.rectification import Image, Rectifier, rectified_pair, tar
 from polhode.geometry.lie import Array, Bools, Ints
 from polhode.pipeline.checkout.image_quality import ImageQuality, RangeQuality, image_quality, range_quality
 from polhode.records.dataset import StereoSequence
+from polhode.records.mask_files import is_inverted
 from polhode.runtime.processes import in_order
 from polhode.runtime.progress import Progress
 
@@ -45,6 +46,8 @@ class ExaminedPair:
     images: tuple[ImageQuality, ...]
     """Of the left and the right camera; of the left one where range images take the place of a second one"""
     has_masks: tuple[bool, ...]
+    inverted_masks: tuple[bool, ...]
+    """Of the images that have one: whether it covers the border and leaves out something"""
     """Of the images"""
     ranges: RangeQuality | None = None
 
@@ -147,6 +150,7 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, k: int) -> ExaminedP
             level_right=np.zeros(len(features)),
             images=(of_left,),
             has_masks=(raw.mask_left is not None,),
+            inverted_masks=_inverted(raw.mask_left),
             ranges=range_quality(pair.measured, pair.mask_left),
         )
     right = key_points(pair.right, pair.mask_right)
@@ -162,6 +166,7 @@ def examine(sequence: StereoSequence, rectifier: Rectifier, k: int) -> ExaminedP
         level_right=_levels(image, uv - np.column_stack([d, np.zeros(len(d))])),
         images=(of_left, quality(1, raw.right, raw.mask_right)),
         has_masks=(raw.mask_left is not None, raw.mask_right is not None),
+        inverted_masks=_inverted(raw.mask_left, raw.mask_right),
     )
 
 
@@ -194,3 +199,7 @@ def _levels(image: Image, uv_px: Array) -> Array:
     mean, (height, width) = cv2.blur(image.astype(np.float32), (7, 7)), image.shape
     at = np.clip(np.round(uv_px).astype(np.int64), 0, [width - 1, height - 1])
     return np.asarray(mean[at[:, 1], at[:, 0]], dtype=np.float64)
+
+
+def _inverted(*masks: Bools | None) -> tuple[bool, ...]:
+    return tuple(is_inverted(mask) for mask in masks if mask is not None)

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from polhode.files.tables import read_listing, read_table
+from polhode.files.json_files import read_json
+from polhode.files.tables import read_listing, read_mapping, read_table
 from polhode.geometry.lie import Ints
 from polhode.pipeline.checkout.check_table import limit_of, make_check
 from polhode.pipeline.checkout.result import CheckoutCheck
 from polhode.records.camera_folders import find_cameras
 from polhode.records.dataset import StereoSequence
 from polhode.records.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
+from polhode.runtime.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,40 @@ def frame_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
         make_check("jitter", uneven, rate),
         make_check("gap", float(dt[longest]) / usual, gap),
     ]
+
+
+def plausible_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
+    """Interval, duration and baseline that a rig can have, and the interval against a stated rate."""
+    stamps_ns, stated = sequence.timestamps_ns, _states_unit(sequence.folder)
+    usual_s = 1e-9 * float(np.median(np.diff(stamps_ns)))
+    days = 1e-9 * float(stamps_ns[-1] - stamps_ns[0]) / 86400.0
+    key = "short interval" if usual_s < limit_of("short interval") else "interval"
+    limits = (limit_of(key), None) if stated else None
+    said = " The unit of the times was stated with --time-unit." if stated else ""
+    checks = [
+        make_check(key, usual_s, f"{len(stamps_ns)} pairs, {usual_s:.4g} s apart.{said}", limits=limits),
+        make_check("duration", days, f"{86400.0 * days:.4g} s from the first pair to the last."),
+    ]
+    sensor = read_mapping(sequence.folder / "mav0" / "cam0" / "sensor.yaml", "a camera needs its calibration")
+    rate_hz = sensor.get("rate_hz")
+    if isinstance(rate_hz, int | float) and rate_hz > 0.0 and usual_s > 0.0:
+        ratio = max(usual_s * rate_hz, 1.0 / (usual_s * rate_hz))
+        finding = f"rate_hz is {rate_hz:g}, the pairs are {usual_s:.4g} s apart."
+        checks.append(make_check("stated rate", ratio, finding))
+    if not sequence.has_ranges:
+        rig = sequence.calibration
+        baseline_m = float(np.linalg.norm(rig.X_BC1[:3, 3] - rig.X_BC0[:3, 3]))
+        checks.append(make_check("baseline", baseline_m, f"The cameras are {baseline_m:.4g} m apart."))
+    return checks
+
+
+def _states_unit(folder: Path) -> bool:
+    """Whether an import had the unit of the times from the user."""
+    try:
+        record = read_json(folder / "import.json", "a record of an import", 2**29)
+        return "time_unit" in record["options"]
+    except (InputError, KeyError, TypeError):
+        return False
 
 
 def inspector_checks(sequence: StereoSequence) -> list[CheckoutCheck]:

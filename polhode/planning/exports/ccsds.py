@@ -20,6 +20,8 @@ from polhode.planning.prediction import PredictedMotion
 KM_PER_M = 1e-3
 FRAME, CENTER = "LOCAL_INERTIAL_N", "INSPECTOR_START"
 """Names of N and of its origin"""
+BODY_FRAME = "SC_BODY_1"
+"""Name of F: of the frames of a body those of the standard's annex, which readers insist on (Orekit)"""
 
 
 @dataclass(frozen=True)
@@ -66,13 +68,12 @@ def aem(
     R_NF: Array,
     w_F: Array,
     header: MessageHeader,
-    body_frame: str,
     comments: Sequence[str],
 ) -> str:
     """Attitude of F in N and its angular velocity along F, given in rad/s and written in deg/s."""
     times = utc(timestamps_ns, header.epoch)
-    frames = [f"REF_FRAME_A = {FRAME}", f"REF_FRAME_B = {body_frame}"]
-    attitude = ["ATTITUDE_TYPE = QUATERNION/ANGVEL", f"ANGVEL_FRAME = {body_frame}"]
+    frames = [f"REF_FRAME_A = {FRAME}", f"REF_FRAME_B = {BODY_FRAME}"]
+    attitude = ["ATTITUDE_TYPE = QUATERNION/ANGVEL", f"ANGVEL_FRAME = {BODY_FRAME}"]
     lines = [*_metadata("AEM", header, comments, frames, times, attitude), "", "DATA_START"]
     wxyz = continuous_wxyz(wxyz_from_matrix(R_NF))
     rows = np.hstack([wxyz[:, [1, 2, 3, 0]], np.rad2deg(w_F)])

@@ -218,8 +218,9 @@ def _motion(job: ExportJob) -> Files:
         text = ccsds.oem(motion, header)
     else:
         w_F = motion.w_P @ (job.X_FG[:3, :3] @ np.array(job.summary.R_GP)).T
-        comments, body_frame = [*job.comments[1:], uncertainty], f"TARGET_{options.frame_name}"
-        text = ccsds.aem(motion.timestamps_ns, X_NF[:, :3, :3], w_F, header, body_frame, comments)
+        frame = "the principal axes P" if options.frame_name == "P" else "the frame G of the run's mesh"
+        comments = [f"{ccsds.BODY_FRAME} is the target's frame F: {frame}", *job.comments[1:], uncertainty]
+        text = ccsds.aem(motion.timestamps_ns, X_NF[:, :3, :3], w_F, header, comments)
     return {options.output: text.encode("ascii", "replace")}
 
 

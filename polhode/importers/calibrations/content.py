@@ -1,0 +1,93 @@
+"""A calibration file of any kind as a mapping: YAML, YAML 1.0 and XML of OpenCV, JSON, INI, arrays of
+NumPy.
+"""
+
+import configparser
+import re
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polhode.files.foreign_files import CONFIGURATION_BYTES, MissingFile, read_bytes, read_text
+from polhode.files.yaml_files import parse_yaml
+from polhode.runtime.errors import InputError
+
+MAX_ARRAY_BYTES = 100_000
+"""Of an array in a calibration; maps of distortion, which have millions, are not read"""
+
+
+def read_content(path: Path, kinds: str) -> dict[str, Any]:
+    """The content of a calibration file. ``kinds``: formats that are read, for the message.
+
+    Raises InputError for what is missing, no text, or has no keys.
+    """
+    if path.suffix.lower() == ".npz":
+        return _arrays(path, kinds)
+    try:
+        text = read_text(path, CONFIGURATION_BYTES, "a calibration").lstrip("\ufeff")
+    except MissingFile:
+        raise InputError(f"{path} is missing: give {kinds}") from None
+    if re.match(r"\s*<(\?xml|opencv_storage)", text):
+        return _xml(path, text)
+    if re.search(r"^\[[A-Z_0-9]*CAM[A-Z_0-9]*\]\s*$", text, re.MULTILINE):
+        return _ini(path, text)
+    found = parse_yaml(plain_yaml(text), str(path))
+    if isinstance(found, dict):
+        # Basalt wraps all of it, a list of one document is what some scripts write
+        return found["value0"] if isinstance(found.get("value0"), dict) else found
+    raise InputError(f"{path} is no calibration, since it has no keys: give {kinds}")
+
+
+def plain_yaml(text: str) -> str:
+    """YAML as its standard has it, of what OpenCV's FileStorage and ``ros2 topic echo`` write."""
+    text = re.sub(r"\A%YAML[: ]1\.[012]\s*(---)?", "", text).replace("!!opencv-matrix", "")
+    # one message of several
+    text = re.split(r"^---\s*$", text.removeprefix("---\n").strip() + "\n", maxsplit=1, flags=re.MULTILINE)[0]
+    # a key needs no blank after its colon there
+    text = re.sub(r"^(\s*[\w.]+):(?=[\[\"\d])", r"\1: ", text, flags=re.MULTILINE)
+    return re.sub(r"(?<![\w.])\.Nan\b", ".nan", text)
+
+
+def _xml(path: Path, text: str) -> dict[str, Any]:
+    """The matrices and values of OpenCV's XML."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{path}: XML with a document type; give a calibration of OpenCV, without it")
+    try:
+        root = ElementTree.fromstring(text)  # noqa: S314  without a document type it has no entities
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not valid XML: {str(error)[:100]}") from None
+    if root.tag != "opencv_storage":
+        return {root.tag: {child.tag: (child.text or "").strip() for child in root}}
+    values: dict[str, Any] = {}
+    for child in root:
+        data = child.find("data")
+        words = ((data.text if data is not None else child.text) or "").replace('"', " ").split()
+        values[child.tag] = words if data is not None or len(words) != 1 else words[0]
+    return values
+
+
+def _ini(path: Path, text: str) -> dict[str, Any]:
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    try:
+        parser.read_string(text)
+    except configparser.Error as error:
+        raise InputError(f"{path}: not valid INI: {' '.join(str(error).split())[:100]}") from None
+    return {name: dict(parser[name]) for name in parser.sections()}
+
+
+def _arrays(path: Path, kinds: str) -> dict[str, Any]:
+    try:
+        content = read_bytes(path, 64 * CONFIGURATION_BYTES, "a calibration")
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            small = [each.filename for each in archive.infolist() if each.file_size <= MAX_ARRAY_BYTES]
+        with np.load(BytesIO(content), allow_pickle=False) as arrays:
+            names = [name for name in arrays.files if f"{name}.npy" in small or name in small]
+            return {name: np.asarray(arrays[name]).ravel().tolist() for name in names}
+    except MissingFile:
+        raise InputError(f"{path} is missing: give {kinds}") from None
+    except (ValueError, OSError, zipfile.BadZipFile, KeyError) as error:
+        raise InputError(f"{path}: no arrays of NumPy ({str(error)[:80]}); give {kinds}") from None
