@@ -112,8 +112,7 @@ REFUSED: dict[str, tuple[Sequence[object], str, str]] = {
     "apart)"),
     "a unit in which no camera records": ([k * 10**17 for k in range(6)], "", "plausible intervals in no "
     "unit"),
-    "a header that contradicts": (halves("ns", START_S), "timestamp [ms]\n", "where 1 ms to 1 h are "
-    "plausible"),
+    "a header that contradicts": (halves("ns", START_S), "timestamp [ms]\n", "beyond 146 years"),
     "a header that is a thousand off": (halves("us"), "time_s\n", "where 1 ms to 1 h are plausible"),
     "a word": (["1.5", "2.5", "soon"], "", "line 3: 'soon' is no time"),
     "twice the same": ([START_S, START_S, START_S + 1], "", "two images have the time"),
@@ -164,16 +163,23 @@ def test_times_of_usual_cameras_are_never_a_factor_off(
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.floats(1e-6, 1e6), st.integers(0, 4 * 10**9), st.sampled_from(("ns", "us", "ms", "s")))
+@given(
+    step=st.floats(1e-6, 1e6),
+    start=st.integers(0, 4 * 10**9),
+    unit=st.sampled_from(("ns", "us", "ms", "s")),
+)
 def test_whatever_is_accepted_unstated_has_intervals_of_a_camera(
     step: float, start: int, unit: TimeUnit, one_folder: Path
 ) -> None:
     rows = [round((start + k * step) * 1e9 / IN_NS[unit]) for k in range(5)]
+    path, words = table(one_folder, rows), []
+    found = np.zeros(0, dtype=np.int64)
     try:
-        found = read_times(table(one_folder, rows)).stamps_ns
+        found = read_times(path).stamps_ns
     except InputError as error:
-        words = ("--time-unit", "--rate-hz", "does not come after")
-        assert any(word in str(error) for word in words)
+        words = [word for word in ("--time-unit", "--rate-hz", "does not come after") if word in str(error)]
+    assert len(found) or words
+    if words:
         return
     usual_s = 1e-9 * float(np.median(np.diff(found)))
     since_1970 = found[0] > 6e8 * 1e9
