@@ -65,8 +65,10 @@ def opencv_loose(data: Original, area: Path) -> Written:
 
 def arrays(data: Original, area: Path) -> Written:
     path = area / "stereo.npz"
-    lenses = {f"{name}{k + 1}": v for k in (0, 1) for name, v in (("K", data.K[k]), ("D", lens(data, k)))}
-    np.savez(path, R=data.X_10[:3, :3], T=data.X_10[:3, 3:], map1=np.zeros((480, 640)), **lenses)
+    K1, K2 = data.K
+    D1, D2 = lens(data, 0), lens(data, 1)
+    R, T = data.X_10[:3, :3], data.X_10[:3, 3:]
+    np.savez(path, K1=K1, D1=D1, K2=K2, D2=D2, R=R, T=T, map1=np.zeros((480, 640)))
     return [path]
 
 
