@@ -90,11 +90,13 @@ class Board:
 
 
 def dictionaries() -> list[str]:
-    """Names of OpenCV's dictionaries without DICT_, of two with the same first markers the smaller one
-    first.
+    """Names of OpenCV's dictionaries without DICT_, of those that begin alike the smaller one first.
+
+    OpenCV spells some in two ways.
     """
-    names = [each.removeprefix("DICT_") for each in dir(cv2.aruco) if each.startswith("DICT_")]
-    return sorted(names, key=lambda name: [int(part) for part in re.findall(r"\d+", name)[::-1]] or [0])
+    names = sorted(each.removeprefix("DICT_") for each in dir(cv2.aruco) if each.startswith("DICT_"))
+    once = {name.lower(): name for name in names}.values()
+    return sorted(once, key=lambda name: [int(part) for part in re.findall(r"\d+", name)[::-1]] or [0])
 
 
 def make_board(

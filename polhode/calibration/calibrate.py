@@ -1,5 +1,6 @@
 """The flow of a calibration: find the boards, leave out what spoils it, adjust each camera and then both."""
 
+import logging
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -125,6 +126,7 @@ class CalibratedRig:
         )
 
 
+_log = logging.getLogger(__name__)
 LOOKED_AT = 6
 """Images in which other dictionaries are looked for"""
 
@@ -169,6 +171,8 @@ def calibrate(
         advance()
         result = _adjust_finally(views, state)
         advance()
+    if result.doubt_of_size:
+        _log.warning(result.doubt_of_size)
     return result
 
 

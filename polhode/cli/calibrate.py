@@ -109,5 +109,4 @@ class CalibrateCommand(Command):
             format_calibration(rig),
             paths=tuple(self.output / name for name in sorted(files, key=lambda name: name != PAGE)),
             figures=json.loads(files[RESULT]),
-            warnings=(rig.doubt_of_size,) if rig.doubt_of_size else (),
         )

@@ -141,14 +141,33 @@ def test_spoiled_images_are_left_out_by_their_reason_and_the_result_stays(
 
 
 MARKERS = (
-    ("charuco", "8x6", 0.03, ("9x6", "8x5")),
-    ("aprilgrid", "4x3", 0.05, ("5x3", "4x2")),
+    ("charuco", "8x6", 0.03, ("9x6", "8x5"), ("4X4_50", "5X5_50")),
+    ("aprilgrid", "4x3", 0.05, ("5x3", "4x2"), ("APRILTAG_16h5", "APRILTAG_36h11")),
 )
 
 
-@pytest.mark.parametrize(("pattern", "size", "square_m", "wrong"), MARKERS)
+def test_squares_in_metres_are_doubted(
+    clean: tuple[Scene, Path, CalibratedRig], tmp_path: Path, capsys: Capture
+) -> None:
+    """The rig of 0.03 m squares, said to be 0.03 mm."""
+    _, folder, rig = clean
+    assert rig.doubt_of_size == ""
+    words = ["calibrate", *both(folder), "-o", str(tmp_path / "rig"), "--board", "7x5", "--square-mm", "0.03"]
+    assert main(words) == 0
+    said = capsys.readouterr()
+    assert "with squares of 0.03 mm the cameras are 0.06" in said.out + said.err
+    assert "give --square-mm in millimetres, as measured on the board" in said.out + said.err
+
+
+@pytest.mark.parametrize(("pattern", "size", "square_m", "wrong", "dictionaries"), MARKERS)
 def test_boards_with_markers_are_found_and_one_whose_size_is_wrong_by_one_is_one_line(
-    pattern: str, size: str, square_m: float, wrong: tuple[str, ...], tmp_path: Path, capsys: Capture
+    pattern: str,
+    size: str,
+    square_m: float,
+    wrong: tuple[str, ...],
+    dictionaries: tuple[str, str],
+    tmp_path: Path,
+    capsys: Capture,
 ) -> None:
     board = make_board(pattern, size, square_m)
     facing = np.diag([1.0, -1.0, -1.0]) if pattern == "aprilgrid" else None
@@ -160,17 +179,12 @@ def test_boards_with_markers_are_found_and_one_whose_size_is_wrong_by_one_is_one
     assert [(Path(each.file).stem, each.kind) for each in rig.views.rejections()] == [("06", "mirrored")]
     assert np.abs(sigmas_off(rig, scene)).max() < 4.5
     write_images(tmp_path / "few", images[:3])
+    few = [*both(tmp_path / "few"), "--pattern", pattern, "--square-mm", f"{1e3 * square_m:g}"]
+    given, right = dictionaries
+    error = refused([*few, "--board", size, "--dictionary", given], tmp_path, capsys)
+    assert f"the images show markers of {right}, not of {given}: give --dictionary {right}" in error
     for each in wrong:
-        words = [
-            *both(tmp_path / "few"),
-            "--pattern",
-            pattern,
-            "--board",
-            each,
-            "--square-mm",
-            f"{1e3 * square_m:g}",
-        ]
-        error = refused(words, tmp_path, capsys)
+        error = refused([*few, "--board", each], tmp_path, capsys)
         assert f"--board {each}: " in error and "images show another board" in error, error
 
 

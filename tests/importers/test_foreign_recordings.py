@@ -195,6 +195,22 @@ def test_a_trimmed_video_begins_where_it_was_cut(data: Original, tmp_path: Path)
     assert stamps[0] == 0 and np.diff(stamps).tolist() == 16 * [100_000_000]
 
 
+def test_a_turned_video_is_turned_back(data: Original, tmp_path: Path) -> None:
+    """By the matrix of its track: a quarter turn, as phones write it."""
+    frame = np.zeros((64, 48), np.uint8)
+    frame[4:20, 6:40] = 200
+    both = [encode([frame + np.uint8(k) for k in range(6)], tmp_path / f"{side}.mp4") for side in "lr"]
+    for path in both:
+        content = bytearray(path.read_bytes())
+        at = content.index(b"tkhd") + 44
+        content[at : at + 36] = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, 0, 0, 1 << 30)
+        path.write_bytes(content)
+    done = imported(both, tmp_path / "back", **chain(data, tmp_path))
+    assert "turned by 270 degrees, as its tag says" in done.notes[0]
+    found = original(tmp_path / "back").pixels(0, 0)
+    assert np.abs(found.astype(int) - np.rot90(frame, -1)).mean() < 2.0
+
+
 def test_a_raw_stream_needs_times(data: Original, tmp_path: Path) -> None:
     rig = chain(data, tmp_path)
     both = [encode(levels(8), tmp_path / f"{side}.h264") for side in ("left", "right")]

@@ -35,10 +35,10 @@ def read_content(path: Path, kinds: str) -> dict[str, Any]:
         return _xml(path, text)
     if re.search(r"^\[[A-Z_0-9]*CAM[A-Z_0-9]*\]\s*$", text, re.MULTILINE):
         return _ini(path, text)
-    if rows := re.findall(r"^(\w+): (.*)$", text, re.MULTILINE):
-        # KITTI's rows of numbers without brackets are no YAML
-        if any(re.fullmatch(r"P\d|P_rect_\d\d", name) for name, _ in rows):
-            return dict(rows)
+    rows = re.findall(r"^(\w+): (.*)$", text, re.MULTILINE)
+    # KITTI's rows of numbers without brackets are no YAML
+    if any(re.fullmatch(r"P\d|P_rect_\d\d", name) for name, _ in rows):
+        return dict(rows)
     found = parse_yaml(plain_yaml(text), str(path))
     if isinstance(found, dict):
         # Basalt wraps all of it, a list of one document is what some scripts write
