@@ -236,10 +236,19 @@ def echoed(data: Original, area: Path) -> Written:
     return paths
 
 
+def renderer(data: Original, area: Path) -> Written:
+    """Plain lists, as the page on formats shows them for Blender and Unreal."""
+    text = "".join(f"K{k + 1}: {data.K[k].ravel().tolist()}\nD{k + 1}: {lens(data, k)}\n" for k in (0, 1))
+    path = area / "stereo.yml"
+    path.write_text(f"{text}R: {data.X_10[:3, :3].ravel().tolist()}\nT: {data.X_10[:3, 3].tolist()}\n")
+    return [path]
+
+
 PROGRAMS: dict[str, Callable[[Original, Path], Written]] = {
     "OpenCV, XML": opencv_xml,
     "OpenCV, K1 and lists without a blank": opencv_loose,
     "NumPy": arrays,
+    "a renderer": renderer,
     "OpenVINS": openvins,
     "Kalibr, both cameras in the IMU": two_in_imu,
     "ORB-SLAM3": orb_slam3,

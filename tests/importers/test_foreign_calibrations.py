@@ -36,6 +36,16 @@ def test_the_rig_of_a_program_is_read(name: str, small_sequence: Path, tmp_path:
         assert camera.size_px in (data.calibration.size_px(0), (672, 376), None)
 
 
+def test_the_file_that_the_page_shows_for_a_renderer_is_read(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/formats.md").read_text()
+    path = tmp_path / "stereo.yml"
+    path.write_text(page.partition("```yaml\n")[2].partition("```")[0])
+    rig = read_rig([path])
+    assert rig.baseline_m == pytest.approx(0.12)
+    # the horizontal field of view of 640 px
+    assert 2.0 * np.rad2deg(np.arctan(320.0 / rig.left.intrinsics[0])) == pytest.approx(60.0, abs=1e-4)
+
+
 def test_rectified_cameras_of_orb_slam_and_kitti_are_a_baseline_apart(tmp_path: Path) -> None:
     settings = tmp_path / "KITTI00-02.yaml"
     values = "Camera.fx: 718.856\nCamera.fy: 718.856\nCamera.cx: 607.1928\nCamera.cy: 185.2157\n"

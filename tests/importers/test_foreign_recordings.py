@@ -21,6 +21,7 @@ from polhode.records.dataset import open_sequence
 from polhode.records.dataset_writer import write_camera_csv, write_png, write_sensor
 from polhode.runtime.errors import InputError
 from tests.conftest import TIMESTAMPS_NS
+from tests.importers import recordings
 from tests.importers.foreign_calibrations import PROGRAMS
 from tests.importers.foreign_recordings import BagImage, encode, trimmed, write_bag, write_mcap_of
 from tests.importers.imports import imported, refused, require_same
@@ -90,6 +91,40 @@ def test_compressed_topics_by_any_name_and_files_by_any_case(data: Original, tmp
     require_same(data, tmp_path / "back")
     imported([bag], tmp_path / "found", **chain(data, tmp_path))
     require_same(data, tmp_path / "found")
+
+
+def both_with_the_same_tx(data: Original) -> Any:
+    R, P = recordings.rectified(data)
+    P[0][0, 3] = P[1][0, 3]
+    return R, P
+
+
+def nothing_but_K(data: Original) -> Any:
+    return (np.zeros((3, 3)),) * 2, (np.zeros((3, 4)),) * 2
+
+
+def without_sign(data: Original) -> Any:
+    R, P = recordings.rectified(data)
+    P[1][0, 3] *= -1.0
+    return R, P
+
+
+@pytest.mark.parametrize("stated", [both_with_the_same_tx, nothing_but_K, without_sign])
+def test_what_drivers_state_is_completed_by_the_frames_of_tf(
+    stated: Callable[[Original], Any], data: Original, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = stated(data)
+    monkeypatch.setattr(recordings, "rectified", lambda _: wrong)
+    with_tf = recordings.write_ros1(data, tmp_path / "tf.bag")
+    done = imported([with_tf], tmp_path / "back")
+    assert done.understood["baseline"] == "0.09 m" and done.warnings == ()
+    np.testing.assert_allclose(original(tmp_path / "back").X_01, data.X_01, atol=1e-12)
+    bare = recordings.write_ros1(data, tmp_path / "bare.bag", recordings.BagContents(tf=False))
+    if stated is without_sign:
+        assert "Tx is positive in P" in imported([bare], tmp_path / "signed").warnings[0]
+    else:
+        line = refused([bare], tmp_path / "o" / "s")
+        assert "no tf_static links them; give --calibration" in line
 
 
 COLOURS: dict[str, Callable[[NDArray[np.uint8]], NDArray[Any]]] = {
