@@ -93,6 +93,8 @@ BENCHMARKS = (
               ("runs/sample", "/usr/bin/chromium", "playwright")),
     _of_runs("prediction_error", "end_to_end.prediction_error", "docs/planning.md", 1, ("ts38",),
              "{runs} {sequences} -o runs/prediction.png"),
+    Benchmark("orekit_messages", "end_to_end.orekit_messages", "docs/exports.md", 1, "runs/sample", SAMPLE_RUN,
+              ("orekit_jpype", "/usr/bin/java")),
     Benchmark("temple", "end_to_end.photographs", "docs/validation.md", 15,
               "data/temple --run runs/temple",
               f"examples/sample --run {SAMPLE_RUN} --box None", ("data/temple",)),
