@@ -2,8 +2,9 @@
 
     python -m lab.end_to_end.orekit_messages RUN
 
-Orekit's own parsers read what ``polhode export --to aem`` and ``--to oem`` write; its attitudes and positions are
-compared with the same prediction as a TUM trajectory. It needs Java (11 or later) and ``pip install orekit-jpype``.
+Orekit's own parsers read what ``polhode export --to aem`` and ``--to oem`` write; its attitudes and positions
+are compared with the same prediction as a TUM trajectory. It needs Java (11 or later) and ``pip install
+orekit-jpype``.
 """
 
 from pathlib import Path
@@ -57,7 +58,7 @@ def _start_java() -> None:
         """The offsets above."""
 
         @jpype.JOverride
-        def loadOffsets(self) -> Any:  # noqa: N802  Orekit's name
+        def loadOffsets(self) -> Any:
             """The list."""
             return offsets
 

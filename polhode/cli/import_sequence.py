@@ -9,7 +9,7 @@ from pydantic import Field
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
-from polhode.importers.sources.times import TimeUnit
+from polhode.importers.times import TimeUnit
 from polhode.runtime.console import choose_progress
 from polhode.runtime.errors import InputError
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from polhode.importers.sources.times import TimeUnit
+from polhode.importers.times import TimeUnit
 from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from polhode.importers.sources.times import (
+from polhode.importers.times import (
     IN_NS,
     USUAL_S,
     TimeUnit,

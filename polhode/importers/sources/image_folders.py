@@ -15,7 +15,7 @@ import numpy as np
 from polhode.files.foreign_files import MIB, read_bytes
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, FramedImage, StoredImage, Wanted
-from polhode.importers.sources.times import (
+from polhode.importers.times import (
     RATE_AGREES,
     Times,
     numbers_of_names,

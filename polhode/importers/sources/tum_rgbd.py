@@ -19,7 +19,7 @@ from polhode.geometry.lie import Ints, make_pose, matrix_from_wxyz
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
-from polhode.importers.sources.times import read_times
+from polhode.importers.times import read_times
 from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 

@@ -19,7 +19,7 @@ from polhode.files.images import Raw
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, DecodedImage, FramedImage, Wanted
 from polhode.importers.sources.ros_messages import grey_of_colour
-from polhode.importers.sources.times import read_times, require_increasing, require_plausible
+from polhode.importers.times import read_times, require_increasing, require_plausible
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import require_part
 from polhode.runtime.progress import Progress
