@@ -9,11 +9,13 @@ frame says of each cell of a grid in G one of three things:
     nothing   it lies behind the surface, in the model's shadow, or within the blur of an edge
 
 A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from
-silhouettes: Laurentini, IEEE PAMI 16, 1994). As matter may face away from the Sun, a share of the frames is
-enough; of the cells on one ray those count that most frames agree on. It is *possible* where no two frames
-say that it is free and the convex hull of surface and outlined cells contains it: dark sides, holes of the
-mesh, concavities (space carving: Kutulakos and Seitz, Int. J. Computer Vision 38, 2000). It is *empty*
-where two frames show the sky although the Sun reaches it: however uncertain, the surface is not there.
+silhouettes: Laurentini, IEEE PAMI 16, 1994). As matter may face away from the Sun, and antennas glint in few
+frames, a share of the frames is enough; of the cells on one ray those count that most frames agree on. Cells
+are larger than antennas: one is shown where any pixel that it covers shows matter, and before the sky where
+all are sky. It is *possible* where no two frames say that it is free and the convex hull of surface and
+outlined cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos and Seitz,
+Int. J. Computer Vision 38, 2000). It is *empty* where two frames show the sky although the Sun reaches it:
+however uncertain, the surface is not there.
 """
 
 from collections.abc import Iterable, Sequence
@@ -47,8 +49,8 @@ EVERY_PX = 2
 ABOVE_SKY = 5.0
 """Intensity over the sky's at which a pixel is no sky [8-bit levels]"""
 DEPTH_SIGMAS = 3.0
-LEAST_SHOWN = 3
-"""Frames that make a cell outlined; two exclude it"""
+LEAST_SHOWN = 2
+"""Frames that make a cell outlined; as many exclude it"""
 SHARE_SHOWN = 0.3
 """Of the frames that say something, those that show an outlined cell"""
 SHARE_OF_RAY = 0.6
@@ -58,7 +60,7 @@ LEAST_SPREAD = 0.08
 DIRECTIONS, WITHIN_SHARE = 300, 0.15
 LEAST_LIT = 0.25
 """Share of the visible model that must be in light where the sky is to tell that nothing is there"""
-PASSES, SETTLED = 3, 0.01
+PASSES, SETTLED = 10, 0.01
 """Over all frames, at most; and the share of the open cells below which one has closed too few for another"""
 SHADOW_PX, SHADOW_CELLS = 160, 1.5
 LEAST_CELLS, ATTACHED_CELLS = 8, 2.0
@@ -83,6 +85,8 @@ def occupancy_of(
     viewer, vertices = MeshViewer(mesh), np.asarray(mesh.vertices, dtype=np.float64)
     pictures = [_Picture(*each, viewer, rig) for each in zip(views, depths, strict=True)]
     grid = _grid(mesh, pictures)
+    for picture in pictures:
+        picture.see_in_cells(0.5 * grid.step_m / picture.pixel_m(grid.middle_G))
     # what lies within a cell stands for the rest of the surface
     thin = grid.centres(np.unique(np.rint((vertices - grid.origin_G) / grid.step_m), axis=0))
     outlined = _outlined(grid, pictures, thin)
@@ -107,6 +111,11 @@ class _Grid:
     step_m: float
     cells: int
     """along a side"""
+
+    @property
+    def middle_G(self) -> Array:
+        """(3,) of the cube."""
+        return np.asarray(self.origin_G + 0.5 * self.step_m * self.cells)
 
     def centres(self, cell: Array | Ints) -> Array:
         """(n, 3) in G [m] of cells (n, 3)."""
@@ -145,14 +154,13 @@ def _stay_open(
 ) -> Bools:
     """(m,) whether no two frames exclude the cells (m, 3); as ``_carve``, at first in several passes."""
     excluded, open_ = np.zeros(len(cell), dtype=np.uint64), np.ones(len(cell), dtype=bool)
-    middle = grid.origin_G + 0.5 * grid.step_m * grid.cells
     for _ in range(PASSES if is_first else 1):
         before = open_.sum()
         for n, (sun, picture) in enumerate(zip(suns_G, pictures, strict=True)):
             bit = np.uint64(1) << np.uint64(n)
             _carve(
-                excluded, open_, cell, grid.origin_G, grid.step_m, middle, bit, sun, opaque_G, is_first,
-                *picture.parts,
+                excluded, open_, cell, grid.origin_G, grid.step_m, grid.middle_G, bit, sun, opaque_G,
+                is_first, *picture.parts,
             )  # fmt: skip
         if before - open_.sum() < SETTLED * before:
             break
@@ -269,6 +277,14 @@ class _Picture:
         X = np.ascontiguousarray(view.X_RG, dtype=np.float64)
         self.kind = kind
         self.parts = (X, pinhole, self.behind_m.astype(np.float32), self.free_to_m, kind)
+
+    def see_in_cells(self, radius_px: float) -> None:
+        """Let each pixel say what a cell of this radius about it shows."""
+        size = 2 * int(radius_px) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        near = cv2.dilate(np.stack([self.kind != SKY, self.kind == TARGET], axis=-1).astype(np.uint8), disc)
+        self.kind[(self.kind == SKY) & (near[..., 0] > 0)] = NOTHING
+        self.kind[near[..., 1] > 0] = TARGET
 
     def pixel_m(self, middle_G: Array) -> float:
         """Size of a pixel at a point (3,)."""

@@ -73,6 +73,21 @@ def test_a_boom_that_stereo_missed_is_outlined_and_the_sky_around_it_is_free() -
     np.testing.assert_array_equal(found(BOX, views_of(WHOLE, 20)).state, occupied.state)
 
 
+def test_an_antenna_thinner_than_a_cell_that_not_all_frames_show_is_outlined() -> None:
+    """In the others it is dark before the sky; a cell is three times as wide as the antenna."""
+    lit, dark = views_of(WHOLE, 20), views_of(BOX, 20)
+    views = [lit[n] if n % 2 == 0 else dark[n] for n in range(20)]
+    along = np.array([[0.02, 0.01, z] for z in np.linspace(0.035, 0.075, 9)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "MOST_CELLS_ALONG", 24)
+        coarse = found(BOX, views)
+        assert coarse.step_m > 0.005
+        assert (states(coarse, along) == OUTLINED).mean() > 0.5
+        # as the pixel at the middle of a cell says
+        patch.setattr(module._Picture, "see_in_cells", lambda *_: None)
+        assert (states(found(BOX, views), along) == OUTLINED).mean() == 0.0
+
+
 def test_a_side_that_is_never_lit_stays_possible_within_the_hull() -> None:
     """The light is fixed to the body, as of one that always shows the Sun the same side."""
     sun_G = np.array([0.0, 0.0, 1.0])
