@@ -9,7 +9,6 @@ from pydantic import Field
 
 from polhode.cli.answer import Answer
 from polhode.cli.options import Command, Named, Positional
-from polhode.importers.times import TimeUnit
 from polhode.runtime.console import choose_progress
 from polhode.runtime.errors import InputError
 
@@ -40,7 +39,7 @@ class ImportCommand(Command):
     """Unit of the lengths in the calibration: in a file of OpenCV that of the board's squares."""
     stamps: Annotated[tuple[Path, ...], Named("FILE...")] = ()
     """Timestamps for images and videos without: one row an image. One file for both cameras, or one each."""
-    time_unit: Annotated[TimeUnit | None, Named("ns|us|ms|s")] = None
+    time_unit: Annotated[Literal["ns", "us", "ms", "s"] | None, Named("ns|us|ms|s")] = None
     """Unit of the times in these files, or in the names of the images. Recognized by headers, size and
     intervals unless given."""
     rate_hz: Annotated[float | None, Named("HZ"), Field(gt=0, le=MAX_TIME_S)] = None
