@@ -112,6 +112,10 @@ def _require_known_pixels(image: ImageFile.ImageFile) -> None:
         if tile.codec_name == "ppm" and image.mode == "I":
             # Pillow would scale 12-bit values to 16 bits, a pixel at a time.
             image.tile[index] = tile._replace(codec_name="raw", args=("I;16B", 0, 1))
+        elif tile.codec_name == "ppm":
+            raise UnreadableImage(
+                "a largest value other than 255 and 65535, or colours of 16 bits; save it as PNG"
+            )
         elif tile.codec_name not in ("raw", "zip", "jpeg", "libtiff"):
             # Not in C: those for plain text and run lengths take seconds for an image.
             raise UnreadableImage("pixels as plain text or run lengths; save it as PNG")
@@ -229,7 +233,9 @@ def read_mask(path: Path, width_px: int, height_px: int) -> Bools:
             # The index of a palette is the label; converted to grey, labels could become black.
             pixels = np.asarray(part)
             if part.mode in ("RGBA", "RGBa", "LA", "La", "PA"):
-                pixels = pixels[..., :-1]
+                # a cut-out has its mask in the transparency
+                alpha = pixels[..., -1:]
+                pixels = pixels[..., :-1] if alpha.min() == alpha.max() else alpha
             mask[rows] = (pixels >= least).any(axis=-1) if pixels.ndim == 3 else pixels >= least
         return mask
 

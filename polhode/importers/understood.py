@@ -10,6 +10,8 @@ from polhode.importers.image_writing import WrittenImages
 from polhode.importers.options import ImportOptions
 from polhode.importers.pairs import ChosenPairs
 from polhode.importers.sources.open_recording import Recording
+from polhode.importers.sources.recording import Contents
+from polhode.records.mask_files import find_masks, mask_file
 from polhode.records.pairing import time_in_words
 
 
@@ -45,7 +47,7 @@ def understood(
     clock = "none" if not pairs.offset_ns else time_in_words(pairs.offset_ns)
     ahead = "" if not pairs.offset_ns else " ahead" if pairs.offset_ns > 0 else " behind"
     table["offset of the right clock" if is_stereo else "offset of the ranges' clock"] = clock + ahead
-    table["masks"] = _masks(contents.masks)
+    table["masks"] = _masks(contents, pairs)
     table["inspector poses"] = (
         f"{len(contents.poses.timestamps_ns)}"
         if contents.poses is not None
@@ -59,6 +61,8 @@ def understood(
     unchosen = min(listed) - left_out // 2 - len(pairs.stamps_ns)
     if options.every > 1 or options.start_s > 0.0 or np.isfinite(options.end_s):
         reasons.append(f"{max(unchosen, 0)} pairs by --start, --end and --every")
+    if contents.left_out:
+        reasons.append(f"{contents.left_out} images of other parts, since the clock was set back")
     if written.unreadable:
         reasons.append(f"{len(written.unreadable)} images that cannot be read")
     table["left out"] = "; ".join(reasons) or "nothing"
@@ -75,6 +79,21 @@ def _camera(camera: Camera) -> str:
     return f"{width}x{height} px, {' x '.join(view)} deg, focal length {fu:.4g} px, {lens}"
 
 
-def _masks(folders: tuple[Path | None, Path | None]) -> str:
-    found = [folder.name for folder in folders if folder is not None]
-    return ", ".join(found) or "none"
+def _masks(contents: Contents, pairs: ChosenPairs) -> str:
+    """How many of the pairs have a mask, of each camera."""
+    counts = []
+    for side, folder, files, stamps_ns, chosen in zip(
+        ("left", "right"),
+        contents.masks,
+        contents.files,
+        contents.stamps_ns,
+        (pairs.left, pairs.right),
+        strict=True,
+    ):
+        if folder is None:
+            continue
+        masks = find_masks(folder, files, pairs.stamps_ns.tolist())
+        own = zip(stamps_ns[chosen].tolist(), pairs.stamps_ns.tolist(), strict=True)
+        found = sum(mask_file(masks, each, Path(files.get(each[0], ""))) is not None for each in own)
+        counts.append(f"{found} {side}")
+    return ", ".join(counts) or "none"

@@ -44,7 +44,13 @@ from polhode.files.tables import (
 )
 from polhode.geometry.lie import Array, Bools, Ints, make_pose
 from polhode.records.camera_folders import CameraFolders, find_cameras
-from polhode.records.mask_files import doubts_of_masks, find_masks, mask_file, unused_masks
+from polhode.records.mask_files import (
+    doubts_of_masks,
+    find_masks,
+    mask_file,
+    other_mask_folders,
+    unused_masks,
+)
 from polhode.records.pairing import offset_in_words, pair_by_time, time_in_words
 from polhode.records.range_images import RANGE_FOLDER, RangeModel, read_range_model, why_no_ranges
 from polhode.records.rig_calibration import (
@@ -465,6 +471,10 @@ def _masks_of(
 ) -> tuple[tuple[dict[str, Path], ...], list[str]]:
     """The masks of both cameras, and warnings about them."""
     masks, warnings = [], []
+    if others := other_mask_folders(cameras.mav0):
+        warnings.append(
+            f"{others[0]} is not used: the masks of a sequence are in mav0/masks0 and mav0/masks1"
+        )
     for camera, listing in enumerate(listings):
         folder = cameras.masks(camera)
         found = {} if camera and cameras.has_ranges else find_masks(folder, listing, pairs_ns)

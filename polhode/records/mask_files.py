@@ -39,6 +39,11 @@ def find_masks(folder: Path, images: Mapping[int, str], others: Iterable[int] = 
     if not folder.is_dir():
         return {}
     files = _images_in(folder) or (_images_in(folder / "data") if (folder / "data").is_dir() else [])
+    if not files and any(folder.iterdir()):
+        raise InputError(
+            f"{folder}: no masks in it ({', '.join(SUFFIXES)}, here or in data/); put them there, or "
+            "remove the folder"
+        )
     found = {stem_of(path.name): path for path in files}
     known = {*map(str, images), *map(stem_of, images.values()), *map(str, others)}
     if found and not known & found.keys():
@@ -70,22 +75,28 @@ def doubts_of_masks(found: Mapping[str, Path], size_px: tuple[int, int]) -> list
     paths = sorted(found.values())
     chosen = [paths[k] for k in np.unique(np.linspace(0, len(paths) - 1, SAMPLE).round().astype(int))]
     values: set[int] = set()
-    inverted = 0
+    inverted, whole, empty = 0, 0, 0
     for path in chosen:
         try:
             mask = read_mask(path, *size_px)
             with Image.open(path, formats=FORMATS) as image:
                 if image.format != "JPEG" and image.mode in ("L", "P", "I;16", "I"):
-                    values |= {*np.unique(np.asarray(image)).tolist()}
+                    found_values = {*np.unique(np.asarray(image)).tolist()}
+                    values |= found_values if len(found_values) > 2 else set()
         except (UnreadableImage, OSError, ValueError):
             # it is counted by those who read all masks
             continue
         inverted += is_inverted(mask)
+        whole += bool(mask.all())
+        empty += not mask.any()
     doubts = []
-    third = sorted(values - {0, 1, max(values, default=0)})
-    if third and len(values) <= MANY_LABELS:
+    if 2 < len(values) <= MANY_LABELS:
         shown = ", ".join(map(str, sorted(values)))
         doubts.append(f"have the values {shown}: all but 0 count as target, set what is void or unknown to 0")
+    if chosen and whole > 0.5 * len(chosen):
+        doubts.append("cover whole images: all but 0 counts as target, so the background must be 0")
+    if chosen and empty > 0.5 * len(chosen):
+        doubts.append("are empty: all is 0, and the target must be other than 0")
     if chosen and inverted > 0.5 * len(chosen):
         doubts.append(
             "cover the border of the images and leave their middle out: they look inverted, the target "
@@ -93,6 +104,14 @@ def doubts_of_masks(found: Mapping[str, Path], size_px: tuple[int, int]) -> list
             "other than 0"
         )
     return doubts
+
+
+def other_mask_folders(mav0: Path) -> list[str]:
+    """Folders that look like those of masks and are none, relative to the sequence."""
+    root = mav0.parent
+    found = [*root.glob("*mask*"), *mav0.glob("*mask*"), *mav0.glob("cam?/*mask*")]
+    known = {mav0 / "masks0", mav0 / "masks1"}
+    return sorted(path.relative_to(root).as_posix() for path in {*found} - known if path.is_dir())
 
 
 def is_inverted(mask: Bools) -> bool:

@@ -67,8 +67,12 @@ def test_a_clock_that_was_set_back_makes_parts_of_which_the_longest_is_imported(
 
 
 def test_parts_of_a_recording() -> None:
-    late = [0, 10**9, 9 * 10**8, 2 * 10**9]
-    assert recorded_parts(late, None).tolist() == [0, 0, 0, 0]
+    late = [0, 10**9, 3 * 10**9, 2 * 10**9, 4 * 10**9]
+    assert recorded_parts(late, None).tolist() == [0, 0, 0, 0, 0]
+    # by three and a half, and by half an interval
+    for step in (0.307, 0.05):
+        stamps = [round((0.1 * k - step * (k >= 10)) * 1e9) for k in range(20)]
+        assert recorded_parts(stamps, None).tolist() == 10 * [0] + 10 * [1]
     assert recorded_parts([5 * 10**9, 6 * 10**9, 0, 10**9], None).tolist() == [0, 0, 1, 1]
     # read by time, recorded in another order
     logged = np.array([5, 6, 0, 1, 2]) * 10**9

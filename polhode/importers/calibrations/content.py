@@ -16,6 +16,8 @@ from polhode.files.foreign_files import CONFIGURATION_BYTES, MissingFile, read_b
 from polhode.files.yaml_files import parse_yaml
 from polhode.runtime.errors import InputError
 
+BINARY = (".npy", ".pkl", ".pickle", ".mat", ".bin", ".h5", ".hdf5", ".png", ".jpg", ".svo", ".bag", ".mcap")
+"""Suffixes of files that are no calibration here"""
 MAX_ARRAY_BYTES = 100_000
 """Of an array in a calibration; maps of distortion, which have millions, are not read"""
 
@@ -27,6 +29,8 @@ def read_content(path: Path, kinds: str) -> dict[str, Any]:
     """
     if path.suffix.lower() == ".npz":
         return _arrays(path, kinds)
+    if path.suffix.lower() in BINARY:
+        raise InputError(f"{path}: a {path.suffix.lower()} file, which is not read; give {kinds}")
     try:
         text = read_text(path, CONFIGURATION_BYTES, "a calibration").lstrip("\ufeff")
     except MissingFile:
@@ -39,7 +43,12 @@ def read_content(path: Path, kinds: str) -> dict[str, Any]:
     # KITTI's rows of numbers without brackets are no YAML
     if any(re.fullmatch(r"P\d|P_rect_\d\d", name) for name, _ in rows):
         return dict(rows)
-    found = parse_yaml(plain_yaml(text), str(path))
+    try:
+        found = parse_yaml(plain_yaml(text), str(path))
+    except InputError as error:
+        if path.suffix.lower() in (".yaml", ".yml", ".json"):
+            raise
+        raise InputError(f"{path}: of no format that is read ({error}); give {kinds}") from None
     if isinstance(found, dict):
         # Basalt wraps all of it, a list of one document is what some scripts write
         return found["value0"] if isinstance(found.get("value0"), dict) else found

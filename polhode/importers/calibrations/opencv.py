@@ -5,6 +5,7 @@ R and T turn points of the left camera into the right one, p_right = R p_left + 
 them. Both cameras are in one file, or the intrinsics in one and R and T in the other, as in OpenCV's sample.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,6 +98,25 @@ def _key(shown: Path, values: dict[str, Any], patterns: Sequence[str], side: Seq
     )
 
 
+def _model(shown: Path, values: Mapping[str, Any]) -> str:
+    """The model of distortion that a file names, or flags. Raises InputError for an omnidirectional one."""
+    lower = {
+        key.lower(): value[0] if isinstance(value, list) and len(value) == 1 else value
+        for key, value in values.items()
+    }
+    if any(re.fullmatch(r"xi_?\w*", key) for key in lower):
+        raise InputError(
+            f"{shown}: an omnidirectional model (xi), which is not supported; calibrate as pinhole or fisheye"
+        )
+    words = " ".join(str(lower[key]) for key in lower if re.search(r"model|type", key)).lower()
+    if re.search(r"fisheye|kannala|equi|kb4", words):
+        return EQUIDISTANT
+    flags = [value for key, value in lower.items() if "fisheye" in key]
+    if any(str(value).lower() in ("1", "1.0", "true", "yes", "on") for value in flags):
+        return EQUIDISTANT
+    return str(values.get("distortion_model", values.get("model", "")) or "") or RADIAL_TANGENTIAL
+
+
 def _camera(shown: Path, values: dict[str, Any], side: Sequence[str], X_BC: Array) -> Camera:
     key = _key(shown, values, _MATRIX, side, "the camera matrix")
     K = numbers_at(shown, values, key, (9,)).reshape(3, 3)
@@ -104,9 +124,7 @@ def _camera(shown: Path, values: dict[str, Any], side: Sequence[str], X_BC: Arra
         raise InputError(f"{shown} key '{key}': no camera matrix (fu 0 cu, 0 fv cv, 0 0 1); correct it")
     key = _key(shown, values, _DISTORTION, side, "the distortion")
     coefficients = numbers_at(shown, values, key, (4, 5, 8, 12, 14))
-    named = str(values.get("distortion_model", values.get("model", "")) or "")
-    if not named:
-        named = EQUIDISTANT if values.get("fisheye") in (True, 1) else RADIAL_TANGENTIAL
+    named = _model(shown, values)
     size: list[float] | None = None
     known = {name.lower(): name for name in values}
     own = [f"{stem}{mark}{name}" for stem in ("image_size", "size") for mark in ("_", "") for name in side]

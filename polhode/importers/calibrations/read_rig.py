@@ -163,7 +163,9 @@ def read_euroc_camera(folder: Path, name: str = "cam0") -> Camera:
     """
     base = folder / "mav0" if (folder / "mav0").is_dir() else folder
     path = base / name / "sensor.yaml"
-    return _sensor(path, read_mapping(path, "a camera needs its calibration"))
+    return _sensor(
+        path, read_mapping(path, "a camera needs its calibration; write it, or give --calibration to import")
+    )
 
 
 def _is_sensor(content: Mapping[str, Any]) -> bool:

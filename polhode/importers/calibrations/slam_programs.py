@@ -35,13 +35,16 @@ def read_orb_slam(path: Path, content: dict[str, Any]) -> Rig:
     """The rig. Raises InputError for a single camera, and for what is missing."""
     if "LEFT.K" in content and "RIGHT.K" in content:
         return rig_of([_orb_slam_info(path, content, side) for side in ("LEFT", "RIGHT")])
+    if any(key.endswith("DepthMapFactor") for key in content):
+        raise InputError(f"{path}: settings of ORB-SLAM for a camera with depth; give those of a stereo pair")
     first = "Camera1" if "Camera1.fx" in content else "Camera"
     kind = str(content.get("Camera.type", "PinHole"))
     size = [_number(path, content, f"Camera.{side}") for side in ("width", "height")]
-    rectified = kind == "Rectified" or "Stereo.T_c1_c2" not in content
     X_01 = np.eye(4)
-    if not rectified:
+    if "Stereo.T_c1_c2" in content:
         X_01 = numbers_at(path, content, "Stereo.T_c1_c2", (16,)).reshape(4, 4) + 0.0
+    elif "Tlr" in content:
+        X_01[:3] = numbers_at(path, content, "Tlr", (12, 16)).reshape(-1, 4)[:3]
     elif "Stereo.b" in content:
         X_01[0, 3] = _number(path, content, "Stereo.b")
     elif "Camera.bf" in content:
@@ -54,7 +57,7 @@ def read_orb_slam(path: Path, content: dict[str, Any]) -> Rig:
         )
     second = "Camera2" if "Camera2.fx" in content else first
     left, right = (
-        _orb_slam_camera(path, content, name, kind if not rectified else "Rectified", X, size)
+        _orb_slam_camera(path, content, name, kind, X, size)
         for name, X in ((first, np.eye(4)), (second, X_01))
     )
     return Rig(left, right)
@@ -67,8 +70,9 @@ def _orb_slam_camera(
     fisheye = kind == "KannalaBrandt8"
     keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
     found = [float(content.get(f"{name}.{key}", 0.0)) for key in keys]
-    model = UNDISTORTED if kind == "Rectified" else EQUIDISTANT if fisheye else RADIAL_TANGENTIAL
-    return camera_of(f"{path} {name}", K, model, [] if kind == "Rectified" else found, X_BC, size)
+    is_bare = kind == "Rectified" or not any(found)
+    model = UNDISTORTED if is_bare else EQUIDISTANT if fisheye else RADIAL_TANGENTIAL
+    return camera_of(f"{path} {name}", K, model, [] if is_bare else found, X_BC, size)
 
 
 def _orb_slam_info(path: Path, content: dict[str, Any], side: str) -> CameraInfo:

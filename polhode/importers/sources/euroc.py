@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from polhode.files.tables import attitudes_of, read_listing, read_table
+from polhode.files.tables import attitudes_of, header_of, read_listing, read_table
 from polhode.geometry.lie import make_pose
 from polhode.importers.calibrations.read_rig import read_euroc_camera, read_euroc_rig
 from polhode.importers.calibrations.rig import with_virtual_camera
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
+from polhode.importers.times import IN_NS, WORDS, TimeUnit, require_plausible, unit_in
 from polhode.records.calibration_prior import states_sigmas
 from polhode.records.camera_folders import find_cameras
 from polhode.records.range_images import read_range_model
@@ -30,21 +31,31 @@ def is_euroc(path: Path) -> bool:
     return (path / "mav0").is_dir() or (path / "cam0" / "data.csv").is_file()
 
 
-def open_euroc(path: Path, poses: str | None, has_rig: bool = False) -> ImageFiles:
+def open_euroc(
+    path: Path, poses: str | None, has_rig: bool = False, unit: TimeUnit | None = None
+) -> ImageFiles:
     """The recording in ``path``. Raises InputError for what is missing or wrong.
 
     ``poses``: ``none`` leaves the inspector's poses out; ``has_rig``: another calibration takes the place of
-    sensor.yaml, which may be missing.
+    sensor.yaml, which may be missing; ``unit``: of the times in data.csv, as the user states it.
     """
     mav0 = path / "mav0" if (path / "mav0").is_dir() else path
     folders = find_cameras(mav0)
     cameras = (folders.folder(0), folders.folder(1))
     listings = [read_listing(camera / "data.csv") for camera in cameras]
+    units = [unit or unit_in(",".join(header_of(camera / "data.csv")[:1])) or "ns" for camera in cameras]
+    listings = [
+        {stamp * IN_NS[each]: name for stamp, name in listing.items()}
+        for each, listing in zip(units, listings, strict=True)
+    ]
     files = [
         tuple(camera / "data" / name for name in names.values())
         for camera, names in zip(cameras, listings, strict=True)
     ]
     stamps = [np.array(list(names), dtype=np.int64) for names in listings]
+    if unit is None:
+        advice = "state the unit of data.csv: --time-unit ns, us, ms or s"
+        require_plausible(cameras[0] / "data.csv", stamps[0], advice)
     rig = None
     if has_rig:
         pass
@@ -78,6 +89,7 @@ def open_euroc(path: Path, poses: str | None, has_rig: bool = False) -> ImageFil
         (masks[0], masks[1]),
         (listings[0], listings[1]),
         ranges,
+        times=f"{WORDS[units[0]]}, of data.csv",
         notes=notes,
     )
     return ImageFiles(str(path), (files[0], files[1]), contents)

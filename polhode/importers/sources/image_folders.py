@@ -75,7 +75,7 @@ def open_folders(
     origins = [times.origin.partition(",")[0].partition(" (")[0] for times in found]
     if origins[0] != origins[1]:
         raise InputError(
-            f"{left} has times in {origins[0]}, {right} in {origins[1]}: give --time-unit, or --stamps"
+            f"{left} has times in {origins[0]}, {right} in {origins[1]}: give --stamps, a table for each"
         )
     stamps = found[0].stamps_ns, found[1].stamps_ns
     contents = Contents(stamps, None, ranges=options.range_model(), times=found[0].origin)
@@ -104,8 +104,9 @@ def _times(folder: Path, files: list[Path], table: Path | None, options: ImportO
     their names and a rate.
     """
     names, unit, rate_hz = [path.stem for path in files], options.time_unit, options.rate_hz
+    listed = [path.name for path in files]
     if table is not None:
-        times = read_times(table, unit, rate_hz)
+        times = read_times(table, unit, rate_hz, listed)
         if len(times.stamps_ns) != len(files):
             raise InputError(
                 f"{table}: {len(times.stamps_ns)} timestamps for the {len(files)} images of {folder}; give "
@@ -115,10 +116,13 @@ def _times(folder: Path, files: list[Path], table: Path | None, options: ImportO
         return times
     if (named := times_of_names(folder, names, unit, rate_hz)) is not None:
         return named
+    whole = folder.resolve()
+    for place in (above / name for above in (whole, whole.parent) for name in TABLES):
+        # the table of another folder, or of more images, is not that of these
+        if place.is_file() and len((beside := read_times(place, unit, rate_hz)).stamps_ns) == len(files):
+            times = read_times(place, unit, rate_hz, listed)
+            return Times(times.stamps_ns, f"{beside.origin}, of {place.name} beside them")
     if rate_hz is None:
-        for place in (folder / name for folder in (folder, folder.parent) for name in TABLES):
-            if place.is_file() and len((beside := read_times(place, unit)).stamps_ns) == len(files):
-                return Times(beside.stamps_ns, f"{beside.origin}, of {place.name} beside them")
         raise InputError(
             f"{folder}: the name {files[0].name} states no time; give --rate-hz for numbered images, "
             "--stamps FILE for a table, or --time-unit if the numbers are times"

@@ -64,7 +64,12 @@ def opened_recording(
     elif len(paths) == 1 and is_tum_rgbd(paths[0]):
         yield open_tum_rgbd(paths[0], options)
     elif len(paths) == 1 and is_euroc(paths[0]):
-        yield open_euroc(paths[0], options.poses, bool(options.calibration))
+        if options.stamps or options.rate_hz is not None:
+            raise InputError(
+                f"{paths[0]}: its times are those of data.csv; leave --stamps and --rate-hz out, or state "
+                "--time-unit"
+            )
+        yield open_euroc(paths[0], options.poses, bool(options.calibration), options.time_unit)
     elif len(paths) == 1 and paths[0].is_dir():
         raise InputError(f"{paths[0]}: a single folder that is no EuRoC sequence and no bag; give {KINDS}")
     else:

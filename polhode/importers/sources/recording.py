@@ -77,6 +77,8 @@ class Contents:
     """The right images are ranges of the left ones' pixels; None: they are a second camera's"""
     calibration: tuple[Path, ...] = ()
     """Files of a calibration that lie beside the images"""
+    left_out: int = 0
+    """Images of other parts of a recording whose clock was set back"""
     times: str = "nanoseconds, as the format has them"
     """What the times were written in, and how that is known"""
     notes: tuple[str, ...] = ()

@@ -4,7 +4,9 @@ The bag is read twice: for times, calibration and poses, then for the images tha
 decoded once. Messages are read by ROS's own definitions of their types, never by those that a bag brings.
 """
 
+import re
 import sqlite3
+from bisect import bisect_left, insort
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
@@ -35,14 +37,16 @@ from polhode.importers.sources.ros_messages import (
     ranges_of,
     stamp_of,
 )
+from polhode.importers.times import require_plausible
 from polhode.records.range_images import RangeModel
 from polhode.runtime.errors import InputError
 from polhode.runtime.optional_parts import require_part
 from polhode.runtime.progress import Progress
 
 SUFFIXES = (".bag", ".db3", ".mcap")
-SET_BACK_NS = 500_000_000
-"""What stamps go back by, in the order of recording, where a clock was set; drivers deliver late by less"""
+FITS = 0.75
+"""Of the usual interval, the distance to the next stamps of a message that only comes late"""
+DEPTH_ENCODINGS = ("16UC1", "32FC1")
 DEPTH_UNIT_M = 1e-3
 """Of depth images of 16 bits (ROS's REP 118)"""
 
@@ -60,6 +64,10 @@ def is_bag(path: Path) -> bool:
 def opened_bag(path: Path, options: ImportOptions, progress: Progress) -> Iterator["RosBag"]:
     """The bag, its times read. Raises InputError for what is missing, cut off or not there to be chosen."""
     require_part("rosbags", "bags")
+    if options.stamps or options.time_unit is not None:
+        raise InputError(
+            f"{path}: a bag has times of its own; leave --stamps and --time-unit out, or give --rate-hz"
+        )
     files = [path]
     if path.is_dir():
         files = sorted(each for each in path.iterdir() if each.suffix in (".db3", ".mcap"))
@@ -181,6 +189,13 @@ class _Bag:
                 times += [int(row[0]) for row in rows]
         return np.array(times, dtype=np.int64)
 
+    def first_encoding(self, topic: str) -> str:
+        """Encoding or format of the first image of a topic."""
+        if topic not in self.firsts:
+            self.firsts[topic] = next(iter(self.messages([topic])))[2]
+        message = self.first(topic)
+        return str(getattr(message, "encoding", getattr(message, "format", "")))
+
     def first(self, topic: str) -> Any:
         """The first message of a topic that was read."""
         with self.readable():
@@ -250,7 +265,8 @@ def _indexed(
                 else:
                     bag.firsts.setdefault(topic, content)
             advance()
-    orders, stamps, warnings = {}, [], []
+    orders, stamps, warnings, left_out = {}, [], [], 0
+    origin = "--rate-hz" if options.rate_hz is not None else "the headers of the messages"
     parts: dict[str, Ints] = {}
     for topic in topics:
         times = np.array(times_ns[topic], dtype=np.int64)
@@ -276,15 +292,22 @@ def _indexed(
         if not len(times):
             raise InputError(f"{path}: no image in {topic}; record it again, or choose another topic")
         if not times.any():
-            times = np.array(logged_ns[topic], dtype=np.int64)
+            times, origin = np.array(logged_ns[topic], dtype=np.int64), "the times of recording"
             warnings.append(
                 f"{path}: {topic} has no timestamps; the times of recording are taken, which scatter"
             )
         kept = np.flatnonzero(parts[topic] == part)
+        if len(kept) > 1 and np.ptp(times[kept]) == 0 and options.rate_hz is None:
+            raise InputError(
+                f"{path}: all {len(kept)} images of {topic} have the time {times[kept[0]]} ns; give --rate-hz"
+            )
+        if options.rate_hz is not None:
+            times[kept] = np.rint(np.arange(len(kept)) * 1e9 / options.rate_hz).astype(np.int64)
         unique, first = np.unique(times[kept], return_index=True)
         if repeated := len(kept) - len(unique):
             warnings.append(f"{path}: {repeated} images of {topic} repeat a timestamp; not used")
         orders[topic] = {int(kept[number]): index for index, number in enumerate(first)}
+        require_plausible(f"{path}, {topic}", unique, "give --rate-hz instead of the times of the messages")
         stamps.append(unique)
     rig: Rig | None = None
     said: list[str] = []
@@ -303,7 +326,8 @@ def _indexed(
         rig,
         poses,
         ranges=ranges,
-        times="the headers of the messages",
+        times=origin,
+        left_out=left_out,
         notes=(_topics_in_words(topics, ranges), *notes),
         warnings=(*warnings, *said, *remarks),
     )
@@ -324,7 +348,7 @@ def _image_topics(bag: _Bag, options: ImportOptions) -> tuple[str, str]:
         return options.left_topic, options.right_topic
     # compressed images beside the same ones raw
     images = [topic for topic in images if _base(topic) == topic or _base(topic) not in images]
-    depth = [topic for topic in images if _is_depth(topic)]
+    depth = [topic for topic in images if _is_depth(bag, topic)]
     usable = [topic for topic in images if topic not in depth]
     aligned = [topic for topic in depth if "aligned" in topic.lower()] or depth
     if len(usable) == 1 and len(aligned) == 1:
@@ -353,8 +377,12 @@ def _base(topic: str) -> str:
     return topic.removesuffix("/compressed").removesuffix("/compressedDepth")
 
 
-def _is_depth(topic: str) -> bool:
-    return "depth" in topic.lower()
+def _is_depth(bag: _Bag, topic: str) -> bool:
+    """Whether a topic has depth images, by a part of its name, and by the encoding of its first message."""
+    encoding = bag.first_encoding(topic)
+    if encoding in DEPTH_ENCODINGS:
+        return encoding == "32FC1" or not re.search(r"infra|mono|/ir/|left|right|cam\d", topic.lower())
+    return "compressedDepth" in encoding
 
 
 def _topics_in_words(topics: Sequence[str], ranges: RangeModel | None) -> str:
@@ -365,7 +393,7 @@ def _topics_in_words(topics: Sequence[str], ranges: RangeModel | None) -> str:
 
 def _range_model(bag: _Bag, topics: Sequence[str], options: ImportOptions) -> RangeModel | None:
     """What the values of a depth topic mean; None: the second topic is a camera's. Raises InputError."""
-    if not _is_depth(topics[1]):
+    if not _is_depth(bag, topics[1]) or _is_depth(bag, topics[0]):
         return None
     if options.range_sigma_m is None:
         raise InputError(
@@ -404,11 +432,17 @@ def recorded_parts(stamps_ns: Sequence[int] | Ints, logged_ns: Ints | None) -> I
     order = np.arange(len(times))
     if logged_ns is not None and len(logged_ns) == len(times):
         order[np.argsort(logged_ns, kind="stable")] = np.arange(len(times))
-    parts, latest, part = np.zeros(len(times), dtype=np.int64), -(2**62), 0
-    for number in order.tolist():
-        if times[number] < latest - SET_BACK_NS:
-            part, latest = part + 1, -(2**62)
-        latest = max(latest, int(times[number]))
+    recorded, parts, part = times[order], np.zeros(len(times), dtype=np.int64), 0
+    usual_ns = float(np.median(np.abs(np.diff(recorded)))) if len(recorded) > 1 else 0.0
+    before: list[int] = []
+    for number, stamp in zip(order.tolist(), recorded.tolist(), strict=True):
+        if before and stamp < before[-1]:
+            at = bisect_left(before, stamp)
+            nearest_ns = min(abs(stamp - each) for each in before[max(at - 1, 0) : at + 1])
+            # a message that comes late has a gap that it fits into
+            if at == 0 or nearest_ns < FITS * usual_ns:
+                part, before = part + 1, []
+        insort(before, stamp)
         parts[number] = part
     return parts
 
@@ -452,7 +486,12 @@ def _rig(
     infos = [_info(bag, name) for name in info_topics]
     rectified = "rect" in _base(topics[0]).rpartition("/")[2]
     X_tf = frames.fixed(infos[0].frame, infos[1].frame) if not rectified else None
-    if X_tf is None or not abs(X_tf[:3, 3]).any():
+    if rectified and not shift_between(infos).any():
+        # cameras that were turned alike differ by their places alone
+        X_tf = frames.fixed(infos[0].frame, infos[1].frame)
+        if X_tf is not None and abs(X_tf[:3, :3] - np.eye(3)).max() < 1e-3 and X_tf[:3, 3].any():
+            return rig_of(infos, True, X_tf + 0.0), []
+    if rectified or X_tf is None or not abs(X_tf[:3, 3]).any():
         return rig_of(infos, rectified), []
     if not shift_between(infos).any() or rig_of(infos).remarks:
         return rig_of(infos, X_01=X_tf + 0.0), []

@@ -25,8 +25,9 @@ from polhode.runtime.optional_parts import require_part
 from polhode.runtime.progress import Progress
 
 SUFFIXES = (
-    ".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".h264", ".h265", ".264",
-    ".265", ".hevc", ".mjpeg", ".mjpg",
+    ".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v", ".mpg", ".mpeg", ".ts", ".mts", ".h264", ".h265",
+    ".264", ".265", ".hevc", ".mjpeg", ".mjpg", ".y4m", ".m2v", ".ivf", ".flv", ".wmv", ".mxf", ".3gp",
+    ".ogv", ".obu",
 )  # fmt: skip
 RAW_STREAMS = {
     "h264": "H.264", "hevc": "H.265", "mjpeg": "motion JPEG", "m4v": "MPEG-4", "mpegvideo": "MPEG",
@@ -66,6 +67,8 @@ class Videos:
 def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progress) -> Videos:
     """The videos, their times read. Raises InputError for what is damaged, of odd width, or without times."""
     require_part("av", "videos")
+    if options.time_unit is not None and not options.stamps:
+        raise InputError("--time-unit: videos have times of their own; give --stamps FILE, or leave it out")
     tables = options.stamps if len(options.stamps) == len(paths) else options.stamps * len(paths)
     stamps, numbers, bits, notes, origin = [], [], None, [], "the video's own times"
     for number, path in enumerate(paths):
@@ -99,7 +102,9 @@ def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progres
             require_plausible(path, times, "give --rate-hz, or --stamps FILE, if the video's times are wrong")
         require_increasing(path, times)
         stamps.append(times)
-        numbers.append({pts: k for k, pts in enumerate(found.pts)})
+        # the packets of AVI have no times but their order
+        is_avi = found.format == "an AVI"
+        numbers.append({} if is_avi else {pts: k for k, pts in enumerate(found.pts)})
     contents = Contents((stamps[0], stamps[-1]), None, bits=bits, times=origin, notes=tuple(notes))
     return Videos(" and ".join(map(str, paths)), contents, tuple(paths), tuple(numbers))
 
@@ -144,7 +149,7 @@ def _frames(path: Path, progress: Progress) -> _Frames:
         if not container.streams.video:
             raise InputError(f"{path}: no video in it; give a recording of the cameras")
         stream = container.streams.video[0]
-        base, is_deep = Fraction(stream.time_base or 0), _is_deep(stream.format)
+        base, is_deep, kind = Fraction(stream.time_base or 0), _is_deep(stream.format), container.format.name
         raw = RAW_STREAMS.get(container.format.name)
         if raw is None:
             for packet in container.demux(stream):
@@ -158,6 +163,7 @@ def _frames(path: Path, progress: Progress) -> _Frames:
         width, height = 0, 0
         for frame in container.decode(container.streams.video[0]):
             width, height, turned_deg = frame.width, frame.height, int(frame.rotation) % 360
+            _require_no_mirror(path, frame)
             if pts:
                 break
             count = count + 1 if raw else count
@@ -167,8 +173,21 @@ def _frames(path: Path, progress: Progress) -> _Frames:
     if not count or not width:
         raise InputError(f"{path}: a video without frames; {REPAIR.format(path)}")
     shown_px = height if turned_deg in (90, 270) else width
-    described = f"a raw stream of {raw}" if raw else "a video"
+    described = f"a raw stream of {raw}" if raw else "an AVI" if kind == "avi" else "a video"
     return _Frames(count, tuple(sorted(pts)), base, shown_px, is_deep, turned_deg, described)
+
+
+def _require_no_mirror(path: Path, frame: Any) -> None:
+    """Raise InputError for a frame that is to be mirrored when it is shown."""
+    for each in frame.side_data:
+        if "DISPLAYMATRIX" in str(each.type):
+            a, b, _, c, d = np.frombuffer(bytes(each), dtype=np.int32)[:5].astype(np.float64)
+            if a * d - b * c < 0.0:
+                raise InputError(
+                    f"{path}: its tag mirrors the images; write it without (ffmpeg -i {path} "
+                    "-map_metadata -1 ...), "
+                    "mirrored as it is to be seen"
+                )
 
 
 def _decoded(path: Path, wanted: frozenset[int], numbers: dict[int, int]) -> Iterator[tuple[int, Raw]]:
