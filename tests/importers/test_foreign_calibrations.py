@@ -66,6 +66,35 @@ def test_rectified_cameras_of_orb_slam_and_kitti_are_a_baseline_apart(tmp_path: 
     assert colour.right.X_BC[0, 3] == pytest.approx(0.5327, abs=2e-3)
 
 
+def test_a_lens_is_not_lost(small_sequence: Path, tmp_path: Path) -> None:
+    data = converging(original(small_sequence))
+    (path,) = PROGRAMS["a renderer"](data, tmp_path)
+    plain = path.read_text()
+    for flag in (
+        "fisheye_model: 1",
+        "camera_model: fisheye",
+        "is_fisheye: true",
+        "lens_model: KannalaBrandt",
+    ):
+        path.write_text(f"{plain}{flag}\n")
+        assert read_rig([path]).left.model == "equidistant"
+    path.write_text(f"{plain}xi1: [1.2]\n")
+    assert "an omnidirectional model (xi)" in refusal([path])
+    (settings,) = PROGRAMS["ORB-SLAM3"](data, tmp_path)
+    text = settings.read_text()
+    parallel = text[: text.index("Stereo.T_c1_c2")] + "Stereo.b: 0.12\n"
+    settings.write_text(parallel)
+    rig = read_rig([settings])
+    assert rig.baseline_m == pytest.approx(0.12) and any(rig.left.distortion)
+    settings.write_text(f"{parallel}RGBD.DepthMapFactor: 5000.0\n")
+    assert "settings of ORB-SLAM for a camera with depth" in refusal([settings])
+    for name in ("rig.npy", "rig.mat", "rig.pkl"):
+        (tmp_path / name).write_bytes(b"\x93NUMPY")
+        assert "which is not read; give a file of OpenCV" in refusal([tmp_path / name])
+    (tmp_path / "ost.txt").write_text("# oST version 5.0 parameters\n\n[image]\n\nwidth\n640\n")
+    assert "of no format that is read" in refusal([tmp_path / "ost.txt"])
+
+
 def test_cameras_of_kitti_before_rectification(tmp_path: Path) -> None:
     path = tmp_path / "calib_cam_to_cam.txt"
     R, shift = np.array(exp_so3([0.01, 0.0, -0.02])), np.array([-0.537, 0.005, -0.012])

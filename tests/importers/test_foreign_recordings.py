@@ -67,10 +67,10 @@ def test_a_clock_that_was_set_back_makes_parts_of_which_the_longest_is_imported(
 
 
 def test_parts_of_a_recording() -> None:
-    late = [0, 10**9, 3 * 10**9, 2 * 10**9, 4 * 10**9]
-    assert recorded_parts(late, None).tolist() == [0, 0, 0, 0, 0]
-    # by three and a half, and by half an interval
-    for step in (0.307, 0.05):
+    late = [k * 10**9 for k in (0, 1, 2, 4, 3, 5, 6, 7, 8)]
+    assert recorded_parts(late, None).tolist() == 9 * [0]
+    # by three intervals, and by one and a half
+    for step in (0.307, 0.15):
         stamps = [round((0.1 * k - step * (k >= 10)) * 1e9) for k in range(20)]
         assert recorded_parts(stamps, None).tolist() == 10 * [0] + 10 * [1]
     assert recorded_parts([5 * 10**9, 6 * 10**9, 0, 10**9], None).tolist() == [0, 0, 1, 1]
@@ -395,6 +395,36 @@ def test_masks_that_belong_to_nothing_or_mean_something_else_are_said(
     )
 
 
+def test_masks_that_say_nothing_or_are_elsewhere_are_said(small_sequence: Path, tmp_path: Path) -> None:
+    mav0, names = small_sequence / "mav0", [f"{ns}.png" for ns in TIMESTAMPS_NS]
+    (mav0 / "masks0").mkdir()
+    (mav0 / "masks0" / f"{TIMESTAMPS_NS[0]}.npy").write_bytes(b"mask")
+    assert "no masks in it (.png" in refused([small_sequence], tmp_path / "o" / "s")
+    shutil.rmtree(mav0 / "masks0")
+    for values, words in (
+        ((1, 2), "cover whole images"),
+        ((0, 0), "are empty"),
+        ((1, 255), "cover whole images"),
+    ):
+        for name in names:
+            mask = np.full((48, 64), values[0], np.uint8)
+            mask[10:40, 10:50] = values[1]
+            (mav0 / "masks0").mkdir(exist_ok=True)
+            Image.fromarray(mask).save(mav0 / "masks0" / name)
+        assert any(words in line for line in open_sequence(small_sequence).warnings)
+    # a cut-out: the mask is its transparency
+    cut = np.full((48, 64, 4), 200, np.uint8)
+    cut[..., 3] = 0
+    cut[10:40, 10:50, 3] = 255
+    for name in names:
+        Image.fromarray(cut).save(mav0 / "masks0" / name)
+    np.testing.assert_array_equal(open_sequence(small_sequence).read_pair(1).mask_left, cut[..., 3] > 0)
+    done = imported([small_sequence], tmp_path / "back")
+    assert done.understood["masks"] == "6 left"
+    (mav0 / "masks0").rename(mav0 / "cam0" / "masks")
+    assert "mav0/cam0/masks is not used" in open_sequence(small_sequence).warnings[0]
+
+
 @pytest.mark.parametrize("layout", ["raw", "odometry"])
 def test_a_folder_of_kitti(layout: str, data: Original, tmp_path: Path) -> None:
     drive = tmp_path / "drive"
@@ -435,6 +465,51 @@ def test_numbered_images_beside_their_camera_and_times_without_a_table(
     )
     imported(both, tmp_path / "back", **rig, rate_hz=2.0)
     assert list(original(tmp_path / "back").files[0]) == [k * HALF_NS for k in range(6)]
+
+
+def test_a_table_that_names_the_images_is_not_taken_in_their_order(data: Original, tmp_path: Path) -> None:
+    """A counter that wrapped while it recorded."""
+    folders = []
+    names = [f"img_{(997 + k) % 1000:03d}.png" for k in range(6)]
+    for camera in (0, 1):
+        folders.append(tmp_path / f"side{camera}")
+        folders[-1].mkdir()
+        for name, path in zip(names, data.files[camera].values(), strict=True):
+            shutil.copy(path, folders[-1] / name)
+    table = tmp_path / "times.csv"
+    table.write_text("timestamp,filename\n" + "".join(f"{0.5 * k},{name}\n" for k, name in enumerate(names)))
+    imported(folders, tmp_path / "back", **chain(data, tmp_path), stamps=(table,))
+    back = original(tmp_path / "back")
+    for k, own in enumerate(data.files[1]):
+        np.testing.assert_array_equal(back.pixels(1, k * HALF_NS), data.pixels(1, own))
+    table.write_text(table.read_text().replace("img_998", "img_500"))
+    line = refused(folders, tmp_path / "o" / "s", **chain(data, tmp_path), stamps=(table,))
+    assert "but not img_998.png; give the table of these images" in line
+
+
+def test_times_of_an_euroc_folder_have_the_unit_of_their_header(data: Original, tmp_path: Path) -> None:
+    folder = tmp_path / "seq"
+    shutil.copytree(data.folder, folder)
+    for camera in (0, 1):
+        path = folder / f"mav0/cam{camera}/data.csv"
+        rows = [f"{ns // 1000},{ns}.png" for ns in TIMESTAMPS_NS]
+        path.write_text("#timestamp [us],filename\n" + "\n".join(rows) + "\n")
+    imported([folder], tmp_path / "back")
+    require_same(data, tmp_path / "back")
+    for camera in (0, 1):
+        path = folder / f"mav0/cam{camera}/data.csv"
+        path.write_text(path.read_text().replace(" [us]", ""))
+    assert "state the unit of data.csv: --time-unit" in refused([folder], tmp_path / "o" / "s")
+    imported([folder], tmp_path / "stated", time_unit="us")
+    require_same(data, tmp_path / "stated")
+    for wrong in ({"rate_hz": 20.0}, {"stamps": (folder,)}):
+        assert "leave --stamps and --rate-hz out" in refused([folder], tmp_path / "o" / "s", **wrong)
+
+
+def test_frames_of_an_avi_are_in_the_order_in_which_they_are_shown(data: Original, tmp_path: Path) -> None:
+    both = [encode(levels(12), tmp_path / f"{side}.avi", rate_hz=10) for side in ("left", "right")]
+    imported(both, tmp_path / "back", **chain(data, tmp_path), rate_hz=10.0)
+    assert brightness(tmp_path / "back") == list(range(12))
 
 
 def test_euroc_without_sensor_yaml_and_with_opencvs_version_of_yaml(data: Original, tmp_path: Path) -> None:

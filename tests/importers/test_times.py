@@ -76,6 +76,44 @@ def test_the_unit_of_a_table_is_recognized(name: str, tmp_path: Path) -> None:
     assert np.diff(found.stamps_ns).tolist() == 5 * [HALF_S] and found.origin.startswith(origin)
 
 
+OTHER_TABLES: dict[str, tuple[str, Callable[[int], str]]] = {
+    "ticks of .NET": ("", lambda k: str(638_409_474_590_000_000 + 5_000_000 * k)),
+    "seconds and nanoseconds of a simulation": ("sec,nanosec\n", lambda k: f"{k // 2},{(k % 2) * HALF_S}"),
+    "an exposure beside": (
+        "frame,exposure_time_us,timestamp\n",
+        lambda k: f"{k},{5000 + 20_000 * k},{0.5 * k}",
+    ),
+    "numbers in steps beside": ("frame_id,ms\n", lambda k: f"{20 * k},{500 * k}"),
+    "a comma before milliseconds": ("", lambda k: f"2024-01-15 10:31:{k // 2:02d},{500 * (k % 2):03d}"),
+    "a colon before them": ("", lambda k: f"2024-01-15 10:31:{k // 2:02d}:{500 * (k % 2):03d}"),
+    "date and clock in two columns": (
+        "date,time\n",
+        lambda k: f"2024-01-15,10:31:{k // 2:02d}.{5 * (k % 2)}",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_TABLES)
+def test_other_tables(name: str, tmp_path: Path) -> None:
+    header, row = OTHER_TABLES[name]
+    found = read_times(table(tmp_path, [row(k) for k in range(6)], header))
+    assert np.diff(found.stamps_ns).tolist() == 5 * [HALF_S]
+
+
+def test_names_that_only_seem_to_be_times(tmp_path: Path) -> None:
+    session = "2024-01-15_10-30-59"
+    for name in ("20240115_103059_{:03d}", f"rec_{session}_frame{{:06d}}", "20240115_103059_{:04d}"):
+        names = [name.format(k) for k in range(6)]
+        assert times_of_names(tmp_path, names) is None and numbers_of_names(names) == list(range(6))
+    clock = [f"1031{k:02d}" for k in range(0, 60, 20)]
+    assert times_of_names(tmp_path, clock) is None and numbers_of_names(clock) is None
+    assert times_of_names(tmp_path, [f"1031{k:02d}000" for k in range(0, 60, 20)]) is None
+    with pytest.raises(InputError, match="may be a fraction of a second or a number; give --stamps"):
+        times_of_names(tmp_path, [f"20240115_1031{k:02d}_{7 * k % 10}{k}" for k in range(6)])
+    milliseconds = times_of_names(tmp_path, [f"{START_S + k // 2}_{500 * (k % 2):03d}" for k in range(6)])
+    assert milliseconds is not None and np.diff(milliseconds.stamps_ns).tolist() == 5 * [HALF_S]
+
+
 NAMES: dict[str, Callable[[int], str]] = {
     "date": lambda k: f"202401151031{k // 2:02d}_{(k % 2) * 500:03d}",
     "date with milliseconds": lambda k: f"20240115_1031{k // 2:02d}_{(k % 2) * 500:03d}",
@@ -114,6 +152,9 @@ REFUSED: dict[str, tuple[Sequence[object], str, str]] = {
     "unit"),
     "a header that contradicts": (halves("ns", START_S), "timestamp [ms]\n", "beyond 146 years"),
     "a header that is a thousand off": (halves("us"), "time_s\n", "where 1 ms to 1 h are plausible"),
+    "an unknown unit": (halves("us"), "time_100ns\n", "the unit of 'time_100ns' is not known"),
+    "minutes": ([k / 120 for k in range(6)], "elapsed time (minutes)\n", "is not known; convert the times"),
+    "two columns": ([f"{k},{10**8 * k}" for k in range(6)], "", "two columns may be the times"),
     "a word": (["1.5", "2.5", "soon"], "", "line 3: 'soon' is no time"),
     "twice the same": ([START_S, START_S, START_S + 1], "", "two images have the time"),
     "backwards": (["3.5", "2.5", "1.5"], "", "does not come after"),

@@ -130,8 +130,8 @@ CHECK_TABLE = {
         True),
     "duration": CheckRow("time", "duration", "days", 1.0, 30.0,
         "Look at the unit of the timestamps (import --time-unit), or at a clock that was set.", "FAIL"),
-    # placeholders of 1 Hz are common; a wrong unit is a factor of a thousand
-    "stated rate": CheckRow("time", "interval over that of rate_hz in sensor.yaml", "", 300.0, 300.0,
+    # another unit is a factor of a thousand; 1 Hz is what many write that know of none
+    "stated rate": CheckRow("time", "interval over that of rate_hz in sensor.yaml", "", 3.0, 30.0,
         "Correct the unit of the timestamps (import --time-unit), or rate_hz in sensor.yaml."),
     "gap": CheckRow("time", "longest gap", "intervals", 5.0, None,
         "The motion is bridged over a gap by the dynamics alone: record without gaps, or cut the sequence "

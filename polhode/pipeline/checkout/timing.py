@@ -17,6 +17,10 @@ from polhode.records.pairing import Pairing, offset_in_words, pair_by_time, time
 from polhode.runtime.errors import InputError
 
 
+UNKNOWN_HZ = 1.0
+"""What those write in sensor.yaml who know of no rate, such as calibrations"""
+
+
 @dataclass(frozen=True)
 class Stamps:
     """The stamps that both cameras list [ns], and how they are paired."""
@@ -121,7 +125,7 @@ def plausible_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
     ]
     sensor = read_mapping(sequence.folder / "mav0" / "cam0" / "sensor.yaml", "a camera needs its calibration")
     rate_hz = sensor.get("rate_hz")
-    if isinstance(rate_hz, int | float) and rate_hz > 0.0 and usual_s > 0.0:
+    if isinstance(rate_hz, int | float) and rate_hz > 0.0 and rate_hz != UNKNOWN_HZ and usual_s > 0.0:
         ratio = max(usual_s * rate_hz, 1.0 / (usual_s * rate_hz))
         finding = f"rate_hz is {rate_hz:g}, the pairs are {usual_s:.4g} s apart."
         checks.append(make_check("stated rate", ratio, finding))
