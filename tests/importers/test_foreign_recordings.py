@@ -423,6 +423,7 @@ def test_masks_that_say_nothing_or_are_elsewhere_are_said(small_sequence: Path, 
     assert done.understood["masks"] == "6 left"
     (mav0 / "masks0").rename(mav0 / "cam0" / "masks")
     assert "mav0/cam0/masks is not used" in open_sequence(small_sequence).warnings[0]
+    assert "cam0/masks is not used" in imported([small_sequence], tmp_path / "elsewhere").warnings[0]
 
 
 @pytest.mark.parametrize("layout", ["raw", "odometry"])

@@ -18,6 +18,7 @@ from polhode.importers.sources.recording import Contents, Poses
 from polhode.importers.times import IN_NS, WORDS, TimeUnit, require_plausible, unit_in
 from polhode.records.calibration_prior import states_sigmas
 from polhode.records.camera_folders import find_cameras
+from polhode.records.mask_files import other_mask_folders
 from polhode.records.range_images import read_range_model
 from polhode.records.rig_calibration import read_range_calibration
 from polhode.runtime.errors import InputError
@@ -91,6 +92,10 @@ def open_euroc(
         ranges,
         times=f"{WORDS[units[0]]}, of data.csv",
         notes=notes,
+        warnings=tuple(
+            f"{path / name} is not used: the masks of a sequence are in mav0/masks0 and mav0/masks1"
+            for name in other_mask_folders(mav0)
+        ),
     )
     return ImageFiles(str(path), (files[0], files[1]), contents)
 

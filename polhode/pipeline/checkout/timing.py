@@ -16,7 +16,6 @@ from polhode.records.dataset import StereoSequence
 from polhode.records.pairing import Pairing, offset_in_words, pair_by_time, time_in_words
 from polhode.runtime.errors import InputError
 
-
 UNKNOWN_HZ = 1.0
 """What those write in sensor.yaml who know of no rate, such as calibrations"""
 
