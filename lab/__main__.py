@@ -2,6 +2,7 @@
 
     python -m lab [TOPIC|NAME ...]             one after the other, as the pages quote them: hours
     python -m lab --short [TOPIC|NAME ...]     a short form of each, two at a time: minutes
+    python -m lab --short --quick [...]        without those that take longest
     python -m lab --list [TOPIC|NAME ...]      what there is, and how long it takes
 
 The short forms show that the commands work, not the numbers of the pages. Those that need a run take that of
@@ -17,13 +18,14 @@ from tyro.conf import Positional, arg
 
 from lab.command import ROOT, command
 from lab.presentation import print_table
-from lab.registry import Benchmark, chosen
+from lab.registry import LONGEST, Benchmark, chosen
 from lab.short_forms import run_short_forms
 
 
 def main(
     names: Positional[Annotated[tuple[str, ...], arg(metavar="TOPIC|NAME")]] = (),
     short: Annotated[bool, arg(help="The short form of each.")] = False,
+    quick: Annotated[bool, arg(help="Of the short forms, leave out those that take longest.")] = False,
     list_: Annotated[bool, arg(name="list", help="List the benchmarks instead of running them.")] = False,
 ) -> None:
     """Run or list the selected benchmarks."""
@@ -33,6 +35,7 @@ def main(
         rows = [(each.topic, each.name, each.prints, f"{each.minutes:g}", each.page) for each in benchmarks]
         print_table(head, rows)
         return
+    benchmarks = [each for each in benchmarks if not (quick and each.name in LONGEST)]
     failed = run_short_forms(benchmarks) if short else [each.name for each in benchmarks if not run(each)]
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
