@@ -97,6 +97,33 @@ def test_compressed_topics_by_any_name_and_files_by_any_case(data: Original, tmp
     require_same(data, tmp_path / "found")
 
 
+DRIVERS = {
+    "RealSense": ("/camera/infra1/image_rect_raw", "/camera/infra2/image_rect_raw"),
+    "ZED": ("/zed/zed_node/left/image_rect_gray", "/zed/zed_node/right/image_rect_gray"),
+    "OAK": ("/oak/left/image_rect", "/oak/right/image_rect"),
+    "DepthAI, beside colour": (
+        "/depthai/left/image_raw",
+        "/depthai/right/image_raw",
+        "/depthai/rgb/image_raw",
+    ),
+    "Isaac Sim": ("/front_stereo_camera/left/image_raw", "/front_stereo_camera/right/image_raw"),
+    "Blackfly": ("/cam_0/image_raw", "/cam_1/image_raw"),
+    "Gazebo": ("/stereo/camera/left/image_raw/compressed", "/stereo/camera/right/image_raw/compressed"),
+}
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_the_cameras_of_drivers_are_told_apart(driver: str, data: Original, tmp_path: Path) -> None:
+    rows = []
+    for stamp in data.files[0]:
+        for k, topic in enumerate(DRIVERS[driver]):
+            pixels = data.pixels(min(k, 1), stamp)
+            content, kind = (png(pixels), "png") if "compressed" in topic else (pixels, "mono8")
+            rows.append(BagImage(topic, stamp, stamp, content, kind))
+    imported([write_bag(tmp_path / "bag", rows)], tmp_path / "back", **chain(data, tmp_path))
+    require_same(data, tmp_path / "back")
+
+
 def both_with_the_same_tx(data: Original) -> Any:
     R, P = recordings.rectified(data)
     P[0][0, 3] = P[1][0, 3]
