@@ -82,7 +82,10 @@ class ScalarGrid:
     def mesh(self, level: float = 0.0) -> trimesh.Trimesh:
         """The surface at a level; closed when the level does not reach the border."""
         V, F, _, _ = marching_cubes(self.values, level)
-        return trimesh.Trimesh(V * self.step_m + self.origin, F, process=True)
+        p = V * self.step_m + self.origin
+        mesh = trimesh.Trimesh(p, F, process=True)
+        # two vertices that nearly coincide, where the surface nearly touches itself, stay apart
+        return mesh if mesh.is_watertight else trimesh.Trimesh(p, F, process=False)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import trimesh
 
 from polhode.geometry.lie import Array
 from polhode.planning.keep_out import volumes
-from polhode.planning.keep_out.measured_body import continuous_sigma, grown_body
+from polhode.planning.keep_out.measured_body import ScalarGrid, continuous_sigma, grown_body
 from polhode.planning.keep_out.volumes import KeepOutOptions, keep_out, keep_out_of_all
 from polhode.planning.prediction import draw_ensemble, nominal_motion
 from polhode.records.mesh_metrics import encloses
@@ -88,6 +88,18 @@ def test_a_volume_of_any_size_is_closed_or_refused(
     monkeypatch.setattr(volumes, "MAX_CELLS", 1000)
     with pytest.raises(InputError, match="--horizon 20: too uncertain for a volume"):
         keep_out(ball(), target, quick(20.0, 24))
+
+
+def test_a_surface_that_touches_itself_at_a_corner_of_the_grid_stays_closed() -> None:
+    """Vertices on several edges of one corner then nearly coincide."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        values = rng.normal(size=(9, 9, 9)).astype(np.float32)
+        for axis in range(3):
+            np.moveaxis(values, axis, 0)[[0, -1]] = 1.0
+        values[tuple(rng.integers(2, 7, 3))] = 1e-9
+        mesh = ScalarGrid(np.zeros(3), 0.04, values).mesh()
+        assert mesh.is_watertight and mesh.is_winding_consistent
 
 
 @pytest.mark.parametrize("seed", range(8))
