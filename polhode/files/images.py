@@ -233,9 +233,9 @@ def read_mask(path: Path, width_px: int, height_px: int) -> Bools:
             # The index of a palette is the label; converted to grey, labels could become black.
             pixels = np.asarray(part)
             if part.mode in ("RGBA", "RGBa", "LA", "La", "PA"):
-                # a cut-out has its mask in the transparency
-                alpha = pixels[..., -1:]
-                pixels = pixels[..., :-1] if alpha.min() == alpha.max() else alpha
+                colours, alpha = pixels[..., :-1], pixels[..., -1:]
+                # a cut-out has its mask in the transparency, its colours are anything
+                pixels = alpha if (colours >= least).any(axis=-1).all() and not alpha.all() else colours
             mask[rows] = (pixels >= least).any(axis=-1) if pixels.ndim == 3 else pixels >= least
         return mask
 

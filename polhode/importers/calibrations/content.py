@@ -5,14 +5,11 @@ NumPy.
 import configparser
 import re
 import xml.etree.ElementTree as ElementTree
-import zipfile
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from polhode.files.foreign_files import CONFIGURATION_BYTES, MissingFile, read_bytes, read_text
+from polhode.files.array_files import read_arrays
+from polhode.files.foreign_files import CONFIGURATION_BYTES, MissingFile, read_text
 from polhode.files.yaml_files import parse_yaml
 from polhode.runtime.errors import InputError
 
@@ -93,14 +90,12 @@ def _ini(path: Path, text: str) -> dict[str, Any]:
 
 
 def _arrays(path: Path, kinds: str) -> dict[str, Any]:
+    if not path.is_file():
+        raise InputError(f"{path} is missing: give {kinds}")
     try:
-        content = read_bytes(path, 64 * CONFIGURATION_BYTES, "a calibration")
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            small = [each.filename for each in archive.infolist() if each.file_size <= MAX_ARRAY_BYTES]
-        with np.load(BytesIO(content), allow_pickle=False) as arrays:
-            names = [name for name in arrays.files if f"{name}.npy" in small or name in small]
-            return {name: np.asarray(arrays[name]).ravel().tolist() for name in names}
-    except MissingFile:
-        raise InputError(f"{path} is missing: give {kinds}") from None
-    except (ValueError, OSError, zipfile.BadZipFile, KeyError) as error:
-        raise InputError(f"{path}: no arrays of NumPy ({str(error)[:80]}); give {kinds}") from None
+        arrays = read_arrays(path)
+    except InputError as error:
+        raise InputError(f"{error}; give {kinds}") from None
+    return {
+        name: values.ravel().tolist() for name, values in arrays.items() if values.nbytes <= MAX_ARRAY_BYTES
+    }

@@ -118,15 +118,17 @@ def plausible_checks(sequence: StereoSequence) -> list[CheckoutCheck]:
     key = "short interval" if usual_s < limit_of("short interval") else "interval"
     limits = (limit_of(key), None) if stated else None
     said = " The unit of the times was stated with --time-unit." if stated else ""
+    noun = "images" if sequence.has_ranges else "pairs"
+    finding, name = f"{len(stamps_ns)} {noun}, {usual_s:.4g} s apart.{said}", f"usual interval between {noun}"
     checks = [
-        make_check(key, usual_s, f"{len(stamps_ns)} pairs, {usual_s:.4g} s apart.{said}", limits=limits),
-        make_check("duration", days, f"{86400.0 * days:.4g} s from the first pair to the last."),
+        make_check(key, usual_s, finding, limits=limits, name=name),
+        make_check("duration", days, f"{86400.0 * days:.4g} s from the first of the {noun} to the last."),
     ]
     sensor = read_mapping(sequence.folder / "mav0" / "cam0" / "sensor.yaml", "a camera needs its calibration")
     rate_hz = sensor.get("rate_hz")
     if isinstance(rate_hz, int | float) and rate_hz > 0.0 and rate_hz != UNKNOWN_HZ and usual_s > 0.0:
         ratio = max(usual_s * rate_hz, 1.0 / (usual_s * rate_hz))
-        finding = f"rate_hz is {rate_hz:g}, the pairs are {usual_s:.4g} s apart."
+        finding = f"rate_hz is {rate_hz:g}, the {noun} are {usual_s:.4g} s apart."
         checks.append(make_check("stated rate", ratio, finding))
     if not sequence.has_ranges:
         rig = sequence.calibration
