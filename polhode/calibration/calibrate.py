@@ -120,9 +120,8 @@ class CalibratedRig:
         if BASELINES_M[0] <= baseline_m <= BASELINES_M[1]:
             return ""
         return (
-            f"with squares of {1e3 * square_m:g} mm the cameras are {1e3 * baseline_m:.3g} mm apart, "
-            "which no rig "
-            "has: give --square-mm in millimetres, as measured on the board"
+            f"with squares of {1e3 * square_m:g} mm the cameras are {1e3 * baseline_m:.3g} mm apart, which "
+            "no rig has: give --square-mm in millimetres, as measured on the board"
         )
 
 

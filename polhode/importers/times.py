@@ -116,9 +116,8 @@ def read_times(
     else:
         if unit is None and re.search(_OTHER_UNIT, named.lower()):
             raise InputError(
-                f"{path}: the unit of {' '.join(named.split())[:60]!r} is not known; convert the times, "
-                "or state "
-                "--time-unit ns, us, ms or s"
+                f"{path}: the unit of {' '.join(named.split())[:60]!r} is not known; convert the times, or "
+                "state --time-unit ns, us, ms or s"
             )
         by_header = unit_in(named)
     is_date = all(kind == "date" for _, kind in columns[chosen[0]])
@@ -175,8 +174,7 @@ def _is_fraction(folder: Path, names: Sequence[str], rest: Sequence[str]) -> boo
     if len({*rest}) > 1:
         raise InputError(
             f"{folder}: the {rest[0]!r} behind the date of {names[0]} may be a fraction of a second or a "
-            "number; "
-            "give --stamps FILE"
+            "number; give --stamps FILE"
         )
     return False
 

@@ -99,9 +99,8 @@ def doubts_of_masks(found: Mapping[str, Path], size_px: tuple[int, int]) -> list
         doubts.append("are empty: all is 0, and the target must be other than 0")
     if chosen and inverted > 0.5 * len(chosen):
         doubts.append(
-            "cover the border of the images and leave their middle out: they look inverted, the target "
-            "must be "
-            "other than 0"
+            "cover the border of the images and leave their middle out: they look inverted, the target must "
+            "be other than 0"
         )
     return doubts
 

@@ -62,7 +62,7 @@ def read_camera_info(path: Path, content: dict[str, Any]) -> CameraInfo:
             "camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix",
         )  # fmt: skip
         size, frame = ("image_width", "image_height"), None
-    width, height = (int(numbers_at(path, content, side, (1,))[0]) for side in _as_lists(content, size))
+    width, height = (int(numbers_at(path, content, side, (1,))[0]) for side in size)
     return CameraInfo(
         str(path),
         width,
@@ -74,12 +74,6 @@ def read_camera_info(path: Path, content: dict[str, Any]) -> CameraInfo:
         numbers_at(path, content, P, (12,)).reshape(3, 4),
         str(frame.get("frame_id", "")) if isinstance(frame, dict) else "",
     )
-
-
-def _as_lists(content: dict[str, Any], names: Sequence[str]) -> Sequence[str]:
-    """The names, whose single values become lists of one."""
-    content.update({name: [content[name]] for name in names if not isinstance(content.get(name, []), list)})
-    return names
 
 
 def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | None = None) -> Rig:
@@ -104,8 +98,7 @@ def rig_of(infos: Sequence[CameraInfo], rectified: bool = False, X_01: Array | N
             offset = offset * [-1.0, 1.0, 1.0]
             remarks = (
                 f"{right.source}: Tx is positive in P, taken as the distance of the cameras; polhode "
-                "checkout "
-                "tells whether left and right are exchanged",
+                "checkout tells whether left and right are exchanged",
             )
         X_10 = make_pose(np.eye(3), offset)
         if not rectified:
@@ -129,9 +122,8 @@ def _why_no_shift(infos: Sequence[CameraInfo]) -> str:
     Tx = float(infos[1].P[0, 3])
     if Tx:
         return (
-            f"both cameras state the same fourth column of P, {Tx:.6g}, so that their distance is not "
-            "known, and "
-            "no tf_static links them"
+            f"both cameras state the same fourth column of P, {Tx:.6g}, so that their distance is not known, "
+            "and no tf_static links them"
         )
     what = "P is 0" if not infos[1].P.any() else "the fourth column of P is 0"
     return f"{what}, so the distance of the cameras is not stated, and no tf_static links them"

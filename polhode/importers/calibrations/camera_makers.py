@@ -54,7 +54,7 @@ def read_zed(path: Path, content: dict[str, Any], size_of_images: SizeOfImages) 
         found = next((each for each in (f"{key}_{name}".lower(), key.lower()) if each in stereo), None)
         if found is None:
             raise InputError(f"{path} lacks {key}_{name} in [STEREO]; give the whole file of the ZED")
-        return float(numbers_at(path, {key: [stereo[found]]}, key, (1,))[0])
+        return float(numbers_at(path, stereo, found, (1,))[0])
 
     R = np.asarray(exp_so3(np.array([stated("RX"), stated("CV"), stated("RZ")])))
     t = -1e-3 * np.array([stated("Baseline"), stated("TY"), stated("TZ")])
@@ -69,7 +69,7 @@ def read_zed(path: Path, content: dict[str, Any], size_of_images: SizeOfImages) 
 def _zed_camera(
     path: Path, section: str, content: dict[str, Any], X_BC: Array, size_px: tuple[int, int]
 ) -> Camera:
-    values = {key.lower(): [value] for key, value in dict(content.get(section, {})).items()}
+    values = {key.lower(): value for key, value in dict(content.get(section, {})).items()}
     K = [numbers_at(path, values, key, (1,))[0] for key in ("fx", "fy", "cx", "cy")]
     lens = [
         float(numbers_at(path, values, key, (1,))[0]) if key in values else 0.0
@@ -133,7 +133,7 @@ def _between(path: Path, cameras: dict[int, dict[str, Any]], left: int, right: i
 def _depthai_camera(path: Path, camera: dict[str, Any], socket: int, X_BC: Array) -> Camera:
     model = DEPTHAI_KINDS.get(int(camera.get("cameraType", 0)))
     if model is None:
-        raise InputError(f"{path}: the cameraType of camera {socket} is not known; calibrate it anew")
+        raise InputError(f"{path}: the cameraType of camera {socket} is not known; calibrate it again")
     lens = numbers_at(path, camera, "distortionCoeff", None).tolist()
     if model == EQUIDISTANT:
         lens = lens[:4]
@@ -141,5 +141,5 @@ def _depthai_camera(path: Path, camera: dict[str, Any], socket: int, X_BC: Array
         used = max((k + 1 for k, value in enumerate(lens) if value), default=0)
         lens = lens[: next(n for n in (4, 5, 8, 12, 14, len(lens)) if n >= used)]
     K = numbers_at(path, camera, "intrinsicMatrix", (9,)).reshape(3, 3)
-    size = [int(numbers_at(path, {k: [camera.get(k)]}, k, (1,))[0]) for k in ("width", "height")]
+    size = [int(numbers_at(path, camera, side, (1,))[0]) for side in ("width", "height")]
     return camera_of(f"{path} camera {socket}", K, model, lens, X_BC, size)

@@ -4,7 +4,7 @@
 have modules of their own.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,27 +36,32 @@ from polhode.records.rig_calibration import read_calibration
 from polhode.runtime.errors import InputError
 
 KINDS = (
-    "a file of OpenCV (YAML, XML, JSON, npz), a camchain of Kalibr, two camera_info of ROS (left, "
-    "right), settings "
-    "of ORB-SLAM, VINS-Fusion or Basalt, a file of ZED, OAK or KITTI, a model of COLMAP, or a folder with "
-    "cam0/sensor.yaml and cam1/sensor.yaml"
+    "a file of OpenCV (YAML, XML, JSON, npz), a camchain of Kalibr, two camera_info of ROS (left, right), "
+    "settings of ORB-SLAM, VINS-Fusion or Basalt, a file of ZED, OAK or KITTI, a model of COLMAP, or a "
+    "folder with cam0/sensor.yaml and cam1/sensor.yaml"
 )
 CAMERA_KINDS = (
     "a file of OpenCV (YAML, XML, JSON, npz), a camchain of Kalibr, a camera_info of ROS, or a folder with "
     "cam0/sensor.yaml"
 )
-OTHERS: tuple[tuple[str, Callable[[Mapping[str, Any]], bool]], ...] = (
-    ("Metashape (Agisoft)", lambda content: "document" in content or "calibration" in content),
-    ("MATLAB's stereoParams", lambda content: "CameraParameters1" in content),
-    ("nerfstudio or instant-ngp (transforms.json)", lambda content: "camera_angle_x" in content or "fl_x" in
-    content), ("OpenMVG (sfm_data.json)", lambda content: "sfm_data_version" in content),
-    ("calib.io", lambda content: "Calibration" in content),
-    ("Blender or BlenderProc", lambda content: "cam_K" in content or "cam_K_matrix" in content),
-    ("AirSim (settings.json)", lambda content: "SettingsVersion" in content),
-    ("RealSense Viewer, which has no calibration in it", lambda content: "controls-depth-white-balance-auto"
-    in content or ("parameters" in content and "schema version" in content)),
+PROGRAMS = (
+    (is_orb_slam, read_orb_slam), (is_vins, read_vins), (is_basalt, read_basalt), (is_depthai, read_depthai),
 )  # fmt: skip
-"""Formats that are recognized and not read"""
+"""Whether a file is of a program, and what reads its rig"""
+OTHERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("Metashape (Agisoft)", ("document", "calibration")),
+    ("MATLAB's stereoParams", ("CameraParameters1",)),
+    ("nerfstudio or instant-ngp (transforms.json)", ("camera_angle_x", "fl_x")),
+    ("OpenMVG (sfm_data.json)", ("sfm_data_version",)),
+    ("calib.io", ("Calibration",)),
+    ("Blender or BlenderProc", ("cam_K", "cam_K_matrix")),
+    ("AirSim (settings.json)", ("SettingsVersion",)),
+    (
+        "RealSense Viewer, which has no calibration in it",
+        ("controls-depth-white-balance-auto", "schema version"),
+    ),
+)
+"""Formats that are not read, by keys that they alone have"""
 
 
 def _no_size() -> tuple[int, int]:
@@ -76,11 +81,8 @@ def read_camera(paths: Sequence[Path]) -> Camera:
     content = read_content(path, CAMERA_KINDS)
     if is_kalibr(content):
         return read_kalibr(path, content, stereo=False)[0]
-    if (
-        is_camera_info(content)
-        and "opencv_matrix" not in content
-        and "projection_matrix" in content | {"p": 0}
-    ):
+    # a file of OpenCV, too, has camera_matrix and image_width
+    if is_camera_info(content) and not content.keys().isdisjoint(("projection_matrix", "P", "p")):
         return read_one(read_camera_info(path, content))
     if _is_sensor(content):
         return _sensor(path, content)
@@ -106,12 +108,7 @@ def read_rig(
         if is_kalibr(content):
             left, right = read_kalibr(path, content, stereo=True)
             return Rig(left, right)
-        for is_it, read in (
-            (is_orb_slam, read_orb_slam),
-            (is_vins, read_vins),
-            (is_basalt, read_basalt),
-            (is_depthai, read_depthai),
-        ):
+        for is_it, read in PROGRAMS:
             if is_it(content):
                 return read(path, content)
         if is_zed(content):
@@ -136,8 +133,8 @@ def read_rig(
 
 def _refuse_others(path: Path, content: Mapping[str, Any], kinds: str) -> None:
     """Raise InputError for a format that is known, and not read."""
-    for name, is_it in OTHERS:
-        if is_it(content):
+    for name, keys in OTHERS:
+        if not content.keys().isdisjoint(keys):
             raise InputError(f"{path}: a file of {name}, whose format is not read; give {kinds}")
 
 

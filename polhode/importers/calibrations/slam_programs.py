@@ -51,9 +51,8 @@ def read_orb_slam(path: Path, content: dict[str, Any]) -> Rig:
         X_01[0, 3] = _number(path, content, "Camera.bf") / _number(path, content, f"{first}.fx")
     else:
         raise InputError(
-            f"{path}: settings of ORB-SLAM for one camera; give those of a stereo pair, with "
-            "Stereo.T_c1_c2 or "
-            "Stereo.b"
+            f"{path}: settings of ORB-SLAM for one camera; give those of a stereo pair, with Stereo.T_c1_c2 "
+            "or Stereo.b"
         )
     second = "Camera2" if "Camera2.fx" in content else first
     left, right = (
@@ -160,4 +159,4 @@ def read_basalt(path: Path, content: dict[str, Any]) -> Rig:
 
 
 def _number(path: Path, content: dict[str, Any], key: str) -> float:
-    return float(numbers_at(path, {key: [content[key]]} if key in content else {}, key, (1,))[0])
+    return float(numbers_at(path, content, key, (1,))[0])

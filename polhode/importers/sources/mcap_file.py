@@ -67,8 +67,7 @@ class McapReader:
         if encodings and not types:
             raise InputError(
                 f"{self._paths[0]}: an MCAP of {', '.join(sorted(encodings)) or 'unnamed'} messages; only "
-                "those "
-                "of ROS (cdr, ros1) are read: convert it, or export the images"
+                "those of ROS (cdr, ros1) are read: convert it, or export the images"
             )
         self.connections = [McapTopic(topic, types[topic], counts[topic]) for topic in types]
 

@@ -17,8 +17,7 @@ from polhode.runtime.progress import Progress
 
 KINDS = (
     "two folders of images (left, right, or images and depth), a folder of EuRoC or KITTI, a bag of ROS "
-    "(.bag, "
-    ".db3, .mcap, or its folder), a side-by-side video, two videos, or a folder of TUM RGB-D"
+    "(.bag, .db3, .mcap, or its folder), a side-by-side video, two videos, or a folder of TUM RGB-D"
 )
 
 PACKED = (".zst", ".zstd", ".gz", ".bz2", ".xz", ".zip", ".7z", ".tar", ".tgz")

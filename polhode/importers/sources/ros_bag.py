@@ -276,15 +276,13 @@ def _indexed(
     if (number := max(int(each.max(initial=0)) for each in parts.values()) + 1) > 1:
         if messages or (options.poses or "none") != "none":
             raise InputError(
-                f"{path}: the clock was set back while it was recorded, and the poses of its {number} "
-                "parts are "
-                "mixed; give --poses none, or record again"
+                f"{path}: the clock was set back while it was recorded, and the poses of its {number} parts "
+                "are mixed; give --poses none, or record again"
             )
         left_out = sum(int((each != part).sum()) for each in parts.values())
         warnings.append(
             f"{path}: the clock was set back while it was recorded, which makes {number} parts; part "
-            f"{part + 1}, "
-            f"the longest, is imported, {left_out} images of the others are left out"
+            f"{part + 1}, the longest, is imported, {left_out} images of the others are left out"
         )
     for topic in topics:
         # of messages with the same time the first one
@@ -398,8 +396,7 @@ def _range_model(bag: _Bag, topics: Sequence[str], options: ImportOptions) -> Ra
     if options.range_sigma_m is None:
         raise InputError(
             f"{bag.path}: {topics[1]} has depth images; give --range-sigma-m, the standard deviation of a "
-            "pixel "
-            "[m], and --range-growth-per-m if it grows with the square of the depth"
+            "pixel [m], and --range-growth-per-m if it grows with the square of the depth"
         )
     scale_m = options.range_scale_m or DEPTH_UNIT_M
     return RangeModel(scale_m, options.range_sigma_m, options.range_growth_per_m or 0.0)

@@ -78,9 +78,8 @@ def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progres
             notes.append(f"{path.name}: turned by {found.turned_deg} degrees, as its tag says")
         if len(paths) == 1 and found.width_px % 2:
             raise InputError(
-                f"{path}: {found.width_px} px wide, which is odd, so it is no two images side by side; "
-                "give a "
-                "video of two equal halves, or one for each camera"
+                f"{path}: {found.width_px} px wide, which is odd, so it is no two images side by side; give "
+                "a video of two equal halves, or one for each camera"
             )
         if options.stamps:
             given = read_times(tables[number], options.time_unit, options.rate_hz)
@@ -184,9 +183,8 @@ def _require_no_mirror(path: Path, frame: Any) -> None:
             a, b, _, c, d = np.frombuffer(bytes(each), dtype=np.int32)[:5].astype(np.float64)
             if a * d - b * c < 0.0:
                 raise InputError(
-                    f"{path}: its tag mirrors the images; write it without (ffmpeg -i {path} "
-                    "-map_metadata -1 ...), "
-                    "mirrored as it is to be seen"
+                    f"{path}: its tag mirrors the images; write it without (ffmpeg -i {path} -map_metadata "
+                    "-1 ...), mirrored as it is to be seen"
                 )
 
 
