@@ -19,13 +19,12 @@ from polhode.calibration.start_values import calibrated_alone
 from polhode.files.images import Grey
 from polhode.geometry.lie import Array, Bools
 from polhode.pipeline.checkout.image_quality import edge_widths, noise_level
+from polhode.records.rig_calibration import USUAL_BASELINES_M
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
 MIN_VIEWS = 4
 """Of each camera: fewer leave its values open."""
-BASELINES_M = 3e-3, 5.0
-"""Of rigs"""
 
 
 class Rejection(NamedTuple):
@@ -117,7 +116,7 @@ class CalibratedRig:
     def doubt_of_size(self) -> str:
         """What speaks against the stated size of the squares; empty: nothing."""
         baseline_m, square_m = float(np.linalg.norm(self.state.X_10[:3, 3])), self.views.board.square_m
-        if BASELINES_M[0] <= baseline_m <= BASELINES_M[1]:
+        if USUAL_BASELINES_M[0] <= baseline_m <= USUAL_BASELINES_M[1]:
             return ""
         return (
             f"with squares of {1e3 * square_m:g} mm the cameras are {1e3 * baseline_m:.3g} mm apart, which "

@@ -11,9 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from polhode.files.foreign_files import read_bytes
-from polhode.files.images import Grey, Raw, UnreadableImage, bit_depth, decode_upright, read_header, to_grey
+from polhode.files.images import (
+    SUFFIXES,
+    Grey,
+    Raw,
+    UnreadableImage,
+    bit_depth,
+    decode_upright,
+    read_header,
+    to_grey,
+)
 from polhode.importers.options import ImportOptions
-from polhode.importers.sources.image_folders import IMAGE_BYTES, SUFFIXES, natural_key
+from polhode.importers.sources.image_folders import IMAGE_BYTES, natural_key
 from polhode.importers.sources.open_recording import Recording, opened_recording
 from polhode.importers.sources.recording import DecodedImage
 from polhode.records.pairing import pair_by_time

@@ -27,6 +27,8 @@ Raw = NDArray[np.uint8] | NDArray[np.uint16]
 
 FORMATS = ("PNG", "TIFF", "JPEG", "BMP", "PPM")
 """As Pillow calls them; PPM includes PGM and PBM."""
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm")
+"""Of their files"""
 MAX_PIXELS = 64_000_000
 """Of one image; the largest sensors of machine vision with a global shutter have some 25 million."""
 ORIENTATION = 0x0112

@@ -35,11 +35,9 @@ from polhode.importers.understood import understood
 from polhode.records.dataset import read_inspector
 from polhode.records.dataset_writer import write_inspector, write_range_sensor
 from polhode.records.range_images import why_no_ranges
+from polhode.records.rig_calibration import USUAL_BASELINES_M
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
-
-MAX_BASELINE_M = 5.0
-"""Of a rig on a spacecraft"""
 
 _log = logging.getLogger(__name__)
 
@@ -97,7 +95,7 @@ def _begun(recording: Recording, options: ImportOptions) -> tuple[Rig, ChosenPai
     pairs = choose_pairs(recording.name, contents, options)
     early = (*contents.warnings, *pairs.warnings)
     # a rig of 5 mm and more whose T is in millimetres: no image would show it, all lengths follow it
-    if contents.ranges is None and rig.baseline_m > MAX_BASELINE_M and options.unit_m == 1.0:
+    if contents.ranges is None and rig.baseline_m > USUAL_BASELINES_M[1] and options.unit_m == 1.0:
         early += (
             f"{rig.right.source}: the cameras are {rig.baseline_m:.4g} m apart; if that calibration is in "
             "millimetres, give --unit mm: all lengths scale with it",
@@ -147,7 +145,7 @@ def _summary(
     rig: Rig,
     warnings: tuple[str, ...],
 ) -> Imported:
-    """What the user is told; stamps_ns: (n,) of the pairs that are imported."""
+    """The result for the user; stamps_ns: (n,) of the pairs that are imported."""
     contents = recording.contents
     kind = "stereo pairs" if contents.ranges is None else "images with ranges"
     table = understood(recording, options, pairs, stamps_ns, written, rig)

@@ -19,6 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from polhode.files.foreign_files import MIB, MissingFile, read_text
+from polhode.files.images import SUFFIXES
 from polhode.files.tables import MAX_STAMP_NS
 from polhode.geometry.lie import Ints
 from polhode.records.pairing import time_in_words
@@ -68,7 +69,6 @@ _TIME_COLUMN = (
     r"time|(?<![a-z])t(?![a-z])|sec|date|clock|second|(?<![a-z])[nuµm]s(?![a-z])|(?<![a-z])epoch(?![a-z])"
 )
 _NO_TIME_COLUMN = r"expos|shutter|gain|integration|delay|laten|duration|delta|interval|(?<![a-z])dt(?![a-z])"
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm")
 
 
 @dataclass(frozen=True)
@@ -196,9 +196,7 @@ def numbers_of_names(names: Sequence[str]) -> list[int] | None:
     return None if clock and 1 not in steps else chosen
 
 
-def require_increasing(
-    source: Path | str, stamps_ns: "Ints | np.ndarray[tuple[int], np.dtype[np.object_]]"
-) -> None:
+def require_increasing(source: Path | str, stamps_ns: Ints) -> None:
     """Raise InputError unless the timestamps increase and are within 146 years of 0."""
     for before, after in pairwise(stamps_ns):
         if after == before:
@@ -356,7 +354,7 @@ def _by_name(
     """The rows in the order of the images whose names they have, and whether they have any."""
     for column in range(min(len(fields) for _, fields in rows) if files else 0):
         named = [fields[column].replace("\\", "/").rpartition("/")[2].strip("\"'") for _, fields in rows]
-        if not all(name.lower().endswith(IMAGE_SUFFIXES) for name in named):
+        if not all(name.lower().endswith(SUFFIXES) for name in named):
             continue
         row_of = dict(zip(named, rows, strict=True))
         if row_of.keys().isdisjoint(files or ()):

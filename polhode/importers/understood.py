@@ -1,4 +1,4 @@
-"""What an import understood of a recording, as a table for the user, for ``import.json`` and for checkout."""
+"""What an import understood of a recording, as a table for the user and for ``import.json``."""
 
 from pathlib import Path
 

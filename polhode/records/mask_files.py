@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from polhode.files.images import FORMATS, UnreadableImage, read_mask
+from polhode.files.images import FORMATS, SUFFIXES, UnreadableImage, read_mask
 from polhode.geometry.lie import Bools
 from polhode.runtime.errors import InputError
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 SAMPLE = 8
 """Masks of a camera whose values are looked at"""
 INVERTED_BORDER = 0.95
@@ -39,14 +38,13 @@ def find_masks(folder: Path, images: Mapping[int, str], others: Iterable[int] = 
     if not folder.is_dir():
         return {}
     files = _images_in(folder) or (_images_in(folder / "data") if (folder / "data").is_dir() else [])
-    if not files and any(folder.iterdir()):
+    if not files and any(not path.name.startswith(".") for path in folder.iterdir()):
         raise InputError(
             f"{folder}: no masks in it ({', '.join(SUFFIXES)}, here or in data/); put them there, or "
             "remove the folder"
         )
     found = {stem_of(path.name): path for path in files}
-    known = {*map(str, images), *map(stem_of, images.values()), *map(str, others)}
-    if found and not known & found.keys():
+    if len(unused_masks(found, images, others)) == len(files) > 0:
         first, image = files[0].name, next(iter(images.values()))
         raise InputError(
             f"{folder}: none of its {len(files)} masks belongs to an image: masks are called {first}, images "

@@ -14,6 +14,8 @@ from polhode.runtime.errors import InputError
 RADIAL_TANGENTIAL = ("radial-tangential", "radtan", "plumb_bob")
 EQUIDISTANT = ("equidistant", "fisheye", "kannala-brandt")
 MIN_BASELINE_M = 1e-4
+USUAL_BASELINES_M = 3e-3, 5.0
+"""Of rigs; others are doubted, as of another unit"""
 MAX_OFFSET_M = 1e4
 """Largest baseline, and coordinate of a camera in its body."""
 

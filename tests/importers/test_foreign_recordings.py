@@ -234,7 +234,7 @@ def test_an_mcap_without_ros_and_packed_files_are_named(tmp_path: Path) -> None:
 
 
 def levels(count: int, shift: int = 0) -> list[NDArray[np.uint8]]:
-    """Frames that are told apart by their brightness: 4 levels each."""
+    """Frames that differ in brightness, by 4 levels each."""
     frame = np.full((48, 64), 20, np.uint8)
     frame[8:40, 8:56] = 60
     return [frame + np.uint8(4 * (k + shift)) for k in range(count)]

@@ -5,7 +5,7 @@ and EuRoC have it, or from the numbers in their names and a rate (--rate-hz). Im
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from polhode.files.foreign_files import MIB, read_bytes
+from polhode.files.images import SUFFIXES
 from polhode.importers.options import ImportOptions
 from polhode.importers.sources.recording import Contents, FramedImage, StoredImage, Wanted
 from polhode.importers.times import (
@@ -25,7 +26,6 @@ from polhode.importers.times import (
 )
 from polhode.runtime.errors import InputError
 
-SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm")
 IMAGE_BYTES = 528 * MIB
 """Of an image of 64 million pixels, as polhode.files.images allows."""
 TABLES = ("timestamps.txt", "times.txt", "data.csv")
@@ -50,22 +50,19 @@ class ImageFiles:
             yield FramedImage(camera, index, StoredImage(content, path.suffix.lower()), str(path))
 
 
-def open_folders(
-    left: Path, right: Path, options: ImportOptions, tables: Sequence[Path] | None = None
-) -> ImageFiles:
+def open_folders(left: Path, right: Path, options: ImportOptions) -> ImageFiles:
     """The images of two folders; the second one's are depth if the options state its unit.
 
-    tables: of their times, instead of those of the options. Raises InputError for folders without images, and
-    images without times.
+    Raises InputError for folders without images, and images without times.
     """
     if left.resolve() == right.resolve():
         raise InputError(
             f"{left} and {right} are the same folder: give those of the left and the right camera"
         )
-    given = tuple(tables or options.stamps)
-    pairs = zip((left, right), given * (2 // len(given)) if given else (None, None), strict=True)
+    given = options.stamps
+    tables = given * (2 // len(given)) if given else (None, None)
     files, found = [], []
-    for folder, table in pairs:
+    for folder, table in zip((left, right), tables, strict=True):
         names = _images_in(folder)
         times = _times(folder, names, table, options)
         order = np.argsort(times.stamps_ns, kind="stable")
@@ -118,10 +115,11 @@ def _times(folder: Path, files: list[Path], table: Path | None, options: ImportO
         return named
     whole = folder.resolve()
     for place in (above / name for above in (whole, whole.parent) for name in TABLES):
-        # the table of another folder, or of more images, is not that of these
-        if place.is_file() and len((beside := read_times(place, unit, rate_hz)).stamps_ns) == len(files):
-            times = read_times(place, unit, rate_hz, listed)
-            return Times(times.stamps_ns, f"{beside.origin}, of {place.name} beside them")
+        # a table of more images is not that of these
+        if place.is_file() and len((times := read_times(place, unit, rate_hz, listed)).stamps_ns) == len(
+            files
+        ):
+            return Times(times.stamps_ns, f"{times.origin}, of {place.name} beside them")
     if rate_hz is None:
         raise InputError(
             f"{folder}: the name {files[0].name} states no time; give --rate-hz for numbered images, "

@@ -9,8 +9,10 @@ import numpy as np
 
 from polhode.frontend.features.epipolar_search import MAX_SHIFT_SHARE
 from polhode.frontend.matching.pairs import MIN_INLIERS
+from polhode.importers.times import PLAUSIBLE_S
 from polhode.pipeline.checkout.result import CheckoutCheck, Group, Verdict
 from polhode.records.dataset import MAX_LOSS
+from polhode.records.rig_calibration import USUAL_BASELINES_M
 
 
 class CheckRow(NamedTuple):
@@ -41,7 +43,7 @@ CHECK_TABLE = {
         "data.csv.", "WARN"),
     # root mean square of the rows' common offset: sound sequences have 0.06 at most, matching accepts 0.8
     "rows": CheckRow("rig", "vertical disparity", "px", 0.3, 0.8, CALIBRATE, "WARN"),
-    "baseline": CheckRow("rig", "baseline", "m", 2.0, 5.0,
+    "baseline": CheckRow("rig", "baseline", "m", 2.0, USUAL_BASELINES_M[1],
         "If the calibration is in millimetres, import with --unit mm: all lengths scale with it.", "FAIL"),
     "pitch": CheckRow("rig", "pitch of the right camera", "deg", None, None, CALIBRATE, "WARN"),
     "roll": CheckRow("rig", "roll of the right camera", "deg", None, None, CALIBRATE, "WARN"),
@@ -123,9 +125,9 @@ CHECK_TABLE = {
     "jitter": CheckRow("time", "jitter of the intervals", "%", 25.0, None,
         "Nothing is lost by uneven stamps if they are right; make sure that they are those of the exposures, "
         "not of the transfer."),
-    "interval": CheckRow("time", "usual interval between pairs", "s", 60.0, 3600.0,
+    "interval": CheckRow("time", "usual interval between pairs", "s", 60.0, PLAUSIBLE_S[1],
         "Look at the unit of the timestamps (import --time-unit): rates and motion scale with it.", "FAIL"),
-    "short interval": CheckRow("time", "usual interval between pairs", "s", 2e-3, 1e-3,
+    "short interval": CheckRow("time", "usual interval between pairs", "s", 2e-3, PLAUSIBLE_S[0],
         "Look at the unit of the timestamps (import --time-unit): rates and motion scale with it.", "FAIL",
         True),
     "duration": CheckRow("time", "duration", "days", 1.0, 30.0,
