@@ -12,12 +12,12 @@ import numpy as np
 from polhode.files.tables import attitudes_of, header_of, read_listing, read_table
 from polhode.geometry.lie import make_pose
 from polhode.importers.calibrations.read_rig import read_euroc_camera, read_euroc_rig
-from polhode.importers.calibrations.rig import with_virtual_camera
+from polhode.importers.calibrations.rig import Rig, with_virtual_camera
 from polhode.importers.sources.image_folders import ImageFiles
 from polhode.importers.sources.recording import Contents, Poses
 from polhode.importers.times import IN_NS, WORDS, TimeUnit, require_plausible, unit_in
 from polhode.records.calibration_prior import states_sigmas
-from polhode.records.camera_folders import find_cameras
+from polhode.records.camera_folders import CameraFolders, find_cameras
 from polhode.records.mask_files import other_mask_folders
 from polhode.records.range_images import read_range_model
 from polhode.records.rig_calibration import read_range_calibration
@@ -57,15 +57,7 @@ def open_euroc(
     if unit is None:
         advice = "state the unit of data.csv: --time-unit ns, us, ms or s"
         require_plausible(cameras[0] / "data.csv", stamps[0], advice)
-    rig = None
-    if has_rig:
-        pass
-    elif folders.has_ranges:
-        rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
-        if states_sigmas(mav0, folders.names[:1]):
-            rig = replace(rig, prior=read_range_calibration(mav0, folders.names[0]).prior)
-    else:
-        rig = read_euroc_rig(mav0, folders.names)
+    rig = None if has_rig else _rig(folders)
     tables = {name: mav0 / name for name in COPIED if (mav0 / name).is_file()}
     found: Poses | None = None
     notes: tuple[str, ...] = ()
@@ -106,3 +98,14 @@ def _estimate(path: Path) -> Poses:
     return Poses(
         table.timestamps_ns, make_pose(attitudes_of(table, table.values[:, 3:], "q_RS"), table.values[:, :3])
     )
+
+
+def _rig(folders: CameraFolders) -> Rig:
+    """The calibration in the folder."""
+    mav0 = folders.mav0
+    if not folders.has_ranges:
+        return read_euroc_rig(mav0, folders.names)
+    rig = with_virtual_camera(read_euroc_camera(mav0, folders.names[0]))
+    if states_sigmas(mav0, folders.names[:1]):
+        rig = replace(rig, prior=read_range_calibration(mav0, folders.names[0]).prior)
+    return rig

@@ -272,8 +272,8 @@ def _indexed(
         times = np.array(times_ns[topic], dtype=np.int64)
         with bag.readable():
             parts[topic] = recorded_parts(times if times.any() else logged_ns[topic], bag.logged_ns(topic))
-    part = int(np.bincount(parts[topics[0]]).argmax()) if len(parts[topics[0]]) else 0
-    if (number := max(int(each.max(initial=0)) for each in parts.values()) + 1) > 1:
+    part, number = _chosen_part(*parts.values())
+    if number > 1:
         if messages or (options.poses or "none") != "none":
             raise InputError(
                 f"{path}: the clock was set back while it was recorded, and the poses of its {number} parts "
@@ -282,7 +282,7 @@ def _indexed(
         left_out = sum(int((each != part).sum()) for each in parts.values())
         warnings.append(
             f"{path}: the clock was set back while it was recorded, which makes {number} parts; part "
-            f"{part + 1}, the longest, is imported, {left_out} images of the others are left out"
+            f"{part + 1} is imported, {left_out} images of the others are left out"
         )
     for topic in topics:
         # of messages with the same time the first one
@@ -307,14 +307,8 @@ def _indexed(
         orders[topic] = {int(kept[number]): index for index, number in enumerate(first)}
         require_plausible(f"{path}, {topic}", unique, "give --rate-hz instead of the times of the messages")
         stamps.append(unique)
-    rig: Rig | None = None
-    said: list[str] = []
-    if options.calibration:
-        pass
-    elif ranges is not None:
-        rig, said = _range_rig(bag, topics, infos)
-    else:
-        rig, said = _rig(bag, topics, infos, frames)
+    rig, said = (None, []) if options.calibration else _rig(bag, topics, infos, frames, ranges is not None)
+    said += [] if ranges is None else _doubts_of_alignment(bag, topics)
     # frame of the left camera: of its camera_info, else of its images
     named = next((name for name in (infos[0], topics[0]) if name in bag.firsts), None)
     camera = plain(bag.first(named).header.frame_id) if named else ""
@@ -402,21 +396,25 @@ def _range_model(bag: _Bag, topics: Sequence[str], options: ImportOptions) -> Ra
     return RangeModel(scale_m, options.range_sigma_m, options.range_growth_per_m or 0.0)
 
 
-def _range_rig(bag: _Bag, topics: Sequence[str], infos: Sequence[str]) -> tuple[Rig, list[str]]:
-    """The camera of images with ranges, and warnings. Raises InputError where the bag has no calibration."""
-    if infos[0] not in bag.firsts:
-        raise InputError(
-            f"{bag.path}: {infos[0]} is missing, the calibration of {topics[0]}; give --calibration FILE"
-        )
-    rectified = "rect" in _base(topics[0]).rpartition("/")[2]
-    rig = with_virtual_camera(read_one(_info(bag, infos[0]), rectified))
+def _doubts_of_alignment(bag: _Bag, topics: Sequence[str]) -> list[str]:
+    """A warning if depth images are of another frame than the images."""
     frames = [plain(bag.first(topic).header.frame_id) for topic in topics]
     if frames[0] == frames[1]:
-        return rig, []
-    return rig, [
+        return []
+    return [
         f"{bag.path}: {topics[1]} is of frame {frames[1]}, {topics[0]} of {frames[0]}: ranges must be of the "
         "pixels of the images; record depth that is aligned to them"
     ]
+
+
+def _chosen_part(left: Ints, right: Ints) -> tuple[int, int]:
+    """The longest part by the left images, and the number of parts.
+
+    Where the clock of one camera alone was set it is the first one: only before that do the two agree.
+    """
+    counts = [int(each.max(initial=0)) + 1 for each in (left, right)]
+    same = counts[0] == counts[1] and len(left) > 0
+    return int(np.bincount(left).argmax()) if same else 0, max(counts)
 
 
 def recorded_parts(stamps_ns: Sequence[int] | Ints, logged_ns: Ints | None) -> Ints:
@@ -472,16 +470,22 @@ def _info(bag: _Bag, topic: str) -> CameraInfo:
 
 
 def _rig(
-    bag: _Bag, topics: Sequence[str], info_topics: Sequence[str], frames: Frames
+    bag: _Bag, topics: Sequence[str], info_topics: Sequence[str], frames: Frames, has_ranges: bool
 ) -> tuple[Rig, list[str]]:
-    """The calibration in the bag, and warnings. Raises InputError where it has none."""
-    for topic, name in zip(topics, info_topics, strict=True):
+    """The calibration in the bag, of the first camera alone with ranges, and warnings.
+
+    Raises InputError where the bag has none.
+    """
+    cameras = 1 if has_ranges else 2
+    for topic, name in list(zip(topics, info_topics, strict=True))[:cameras]:
         if name not in bag.firsts:
             raise InputError(
                 f"{bag.path}: {name} is missing, the calibration of {topic}; give --calibration FILE"
             )
-    infos = [_info(bag, name) for name in info_topics]
     rectified = "rect" in _base(topics[0]).rpartition("/")[2]
+    if has_ranges:
+        return with_virtual_camera(read_one(_info(bag, info_topics[0]), rectified)), []
+    infos = [_info(bag, name) for name in info_topics]
     X_tf = frames.fixed(infos[0].frame, infos[1].frame) if not rectified else None
     if rectified and not shift_between(infos).any():
         # cameras that were turned alike differ by their places alone

@@ -95,15 +95,15 @@ def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progres
         else:
             times = np.array([round(pts * found.base * 10**9) for pts in found.pts], dtype=np.int64)
             if not len(times):
+                raw = RAW_STREAMS.get(found.kind)
+                what = "a video" if raw is None else f"a raw stream of {raw}"
                 raise InputError(
-                    f"{path}: {found.format}, whose frames have no times; give --rate-hz, or --stamps FILE"
+                    f"{path}: {what}, whose frames have no times; give --rate-hz, or --stamps FILE"
                 )
             require_plausible(path, times, "give --rate-hz, or --stamps FILE, if the video's times are wrong")
         require_increasing(path, times)
         stamps.append(times)
-        # the packets of AVI have no times but their order
-        is_avi = found.format == "an AVI"
-        numbers.append({} if is_avi else {pts: k for k, pts in enumerate(found.pts)})
+        numbers.append(found.numbers)
     contents = Contents((stamps[0], stamps[-1]), None, bits=bits, times=origin, notes=tuple(notes))
     return Videos(" and ".join(map(str, paths)), contents, tuple(paths), tuple(numbers))
 
@@ -112,6 +112,8 @@ def open_videos(paths: Sequence[Path], options: ImportOptions, progress: Progres
 class _Frames:
     """What a first reading finds of the frames of a video."""
 
+    kind: str
+    """FFmpeg's name of the container, or of the stream without one"""
     count: int
     pts: tuple[int, ...]
     """Times in units of the base, in order; empty: the frames have none"""
@@ -123,7 +125,12 @@ class _Frames:
     """More than 8 bits"""
     turned_deg: int
     """Counterclockwise"""
-    format: str
+
+    @property
+    def numbers(self) -> dict[int, int]:
+        """Time of a frame -> its number; empty: frames are counted."""
+        # the packets of AVI have no times but their order
+        return {} if self.kind == "avi" else {pts: k for k, pts in enumerate(self.pts)}
 
 
 @contextmanager
@@ -139,41 +146,35 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 def _frames(path: Path, progress: Progress) -> _Frames:
-    """The frames by the packets of the stream; where these have no times, by decoding all of them."""
+    """The frames by the packets of the container; of a raw stream by decoding all of them."""
     import av
 
     pts: list[int] = []
-    count, turned_deg = 0, 0
+    count, width, height, turned_deg = 0, 0, 0, 0
     with _readable(path), av.open(str(path)) as container, progress.stage("reading times", 0) as advance:
         if not container.streams.video:
             raise InputError(f"{path}: no video in it; give a recording of the cameras")
-        stream = container.streams.video[0]
-        base, is_deep, kind = Fraction(stream.time_base or 0), _is_deep(stream.format), container.format.name
-        raw = RAW_STREAMS.get(container.format.name)
-        if raw is None:
+        stream, kind = container.streams.video[0], container.format.name
+        base, is_deep = Fraction(stream.time_base or 0), _is_deep(stream.format)
+        for frame in container.decode(stream):
+            width, height, turned_deg = frame.width, frame.height, int(frame.rotation) % 360
+            _require_no_mirror(path, frame)
+            if kind not in RAW_STREAMS:
+                break
+            count += 1
+            advance()
+        if kind not in RAW_STREAMS:
+            container.seek(0)
             for packet in container.demux(stream):
                 if packet.size and not packet.is_discard:
                     count += 1
                     pts += [] if packet.pts is None else [packet.pts]
                     advance()
-    if len(pts) < count:
-        pts = []
-    with _readable(path), av.open(str(path)) as container, progress.stage("reading times", 0) as advance:
-        width, height = 0, 0
-        for frame in container.decode(container.streams.video[0]):
-            width, height, turned_deg = frame.width, frame.height, int(frame.rotation) % 360
-            _require_no_mirror(path, frame)
-            if pts:
-                break
-            count = count + 1 if raw else count
-            if not raw:
-                break
-            advance()
     if not count or not width:
         raise InputError(f"{path}: a video without frames; {REPAIR.format(path)}")
     shown_px = height if turned_deg in (90, 270) else width
-    described = f"a raw stream of {raw}" if raw else "an AVI" if kind == "avi" else "a video"
-    return _Frames(count, tuple(sorted(pts)), base, shown_px, is_deep, turned_deg, described)
+    known = tuple(sorted(pts)) if len(pts) == count else ()
+    return _Frames(kind, count, known, base, shown_px, is_deep, turned_deg)
 
 
 def _require_no_mirror(path: Path, frame: Any) -> None:
@@ -208,7 +209,8 @@ def _decoded(path: Path, wanted: frozenset[int], numbers: dict[int, int]) -> Ite
                 frame = next(frames, None)
                 if frame is None:
                     break
-                number = numbers.get(frame.pts or 0, -1) if numbers else count
+                stamp = -1 if frame.pts is None else frame.pts
+                number = numbers.get(stamp, -1) if numbers else count
                 pixels = _grey(frame) if number in missing else None
             if pixels is not None:
                 missing.discard(number)
@@ -228,8 +230,9 @@ def _grey(frame: Any) -> Raw:
     else:
         grey = frame.to_ndarray(format="gray16le" if deep else "gray")
     turns = int(frame.rotation) % 360 // 90
-    upright: Raw = np.rot90(grey, turns).copy()
-    return upright
+    if turns:
+        grey = np.rot90(grey, turns).copy()
+    return grey
 
 
 def _is_deep(pixels: Any) -> bool:
