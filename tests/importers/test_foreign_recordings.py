@@ -66,6 +66,23 @@ def test_a_clock_that_was_set_back_makes_parts_of_which_the_longest_is_imported(
         np.testing.assert_array_equal(back.pixels(1, stamp), data.pixels(1, own))
 
 
+def test_where_one_cameras_clock_alone_is_set_back_the_first_part_is_imported(
+    data: Original, tmp_path: Path
+) -> None:
+    right = [10**9 + k * HALF_NS for k in range(12)]
+    left = [stamp - (k >= 4) * 2_250_000_000 for k, stamp in enumerate(right)]
+    twice = [stamp for _ in range(2) for stamp in data.files[0]]
+    rows = [
+        BagImage(topic, clock[k], clock[k], data.pixels(camera, stamp), "mono8")
+        for k, stamp in enumerate(twice)
+        for camera, (topic, clock) in enumerate(zip(TOPICS, (left, right), strict=True))
+    ]
+    bag = write_bag(tmp_path / "bag", rows, "sqlite3")
+    done = imported([bag], tmp_path / "first", **chain(data, tmp_path))
+    assert "makes 2 parts; part 1 is imported" in done.warnings[0]
+    assert list(original(tmp_path / "first").files[0]) == right[:4]
+
+
 def test_parts_of_a_recording() -> None:
     late = [k * 10**9 for k in (0, 1, 2, 4, 3, 5, 6, 7, 8)]
     assert recorded_parts(late, None).tolist() == 9 * [0]
