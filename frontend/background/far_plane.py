@@ -171,13 +171,33 @@ def plane_of_most(A: Array, d: Array, allowed: Array | float, known: Array, lead
     return best
 
 
-def find_far_plane(
-    left: Image, right: Image, offset_px: float, seen: tuple[Bools, Bools] | None = None
-) -> FarPlane | None:
-    """The plane of most matches along the border of a rectified pair (H, W); None: there is none.
+@dataclass(frozen=True)
+class BorderMatches:
+    """Matches along the border of a rectified pair, at the size in which the plane is looked for."""
 
-    offset_px: disparity at infinity. That plane is taken if it explains nearly as many matches as another.
-    seen (H, W): what each camera shows; None: all.
+    place: Array
+    """(n, 3) columns, rows, ones"""
+    disparity: Array
+    """(n,)"""
+    at_infinity: float
+    """The disparity of infinity"""
+    scale: int
+    """Pixels of the pair for one of this size"""
+
+    @property
+    def share_at_infinity(self) -> float:
+        """Of the matches; a target's surface has none, whatever it fills."""
+        if len(self.disparity) < MIN_MATCHES:
+            return 0.0
+        return float(np.mean(np.abs(self.disparity - self.at_infinity) < INLIER_PX))
+
+
+def border_matches(
+    left: Image, right: Image, offset_px: float, seen: tuple[Bools, Bools] | None = None
+) -> BorderMatches:
+    """The matches of a rectified pair (H, W) in whose plane the background is looked for.
+
+    offset_px: disparity at infinity; seen (H, W): what each camera shows; None: all.
     """
     scale = max(1, round(left.shape[1] / WORKING_PX))
     small = [reduced_image(image, scale) for image in (left, right)]
@@ -188,10 +208,19 @@ def find_far_plane(
     shown, shown_right = (reduced_seen(each, scale) for each in (seen or (whole, whole)))
     good = agreeing(there, back) & matched_inside(there, shown, shown_right)
     v, u = np.nonzero(good & border_ring(shown) & textured(small[0]))
-    if len(u) < MIN_MATCHES:
+    A = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64)
+    return BorderMatches(A, there[v, u].astype(np.float64), offset_px / scale, scale)
+
+
+def find_far_plane(matches: BorderMatches) -> FarPlane | None:
+    """The plane of most matches; None: there is none.
+
+    That at infinity is taken if it explains nearly as many matches as another.
+    """
+    A, d = matches.place, matches.disparity
+    if len(d) < MIN_MATCHES:
         return None
-    A, d = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64), there[v, u].astype(np.float64)
-    infinity = np.array([0.0, 0.0, offset_px / scale])
+    infinity = np.array([0.0, 0.0, matches.at_infinity])
     best = plane_of_most(A, d, INLIER_PX, infinity, 1.05)
     infinite = best is infinity
     inlier = np.abs(A @ best - d) < INLIER_PX
@@ -201,4 +230,4 @@ def find_far_plane(
         for _ in range(3):
             best = np.asarray(np.linalg.lstsq(A[inlier], d[inlier])[0], dtype=np.float64)
             inlier = np.abs(A @ best - d) < INLIER_PX
-    return FarPlane(float(best[0]), float(best[1]), float(best[2])).enlarged(scale)
+    return FarPlane(float(best[0]), float(best[1]), float(best[2])).enlarged(matches.scale)

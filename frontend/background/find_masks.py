@@ -22,13 +22,14 @@ from polhode.frontend.background.background_image import (
 from polhode.frontend.background.far_plane import (
     FarPlane,
     Image,
+    border_matches,
     find_far_plane,
     plane_in_N,
     plane_seen_from,
     reduced_image,
     reduced_seen,
 )
-from polhode.frontend.background.near_layer import near_layer, working_scale
+from polhode.frontend.background.near_layer import DARK_SKY_DN, near_layer, working_scale
 from polhode.frontend.background.range_layer import near_range_layer, range_plane
 from polhode.frontend.background.still_background import changed_layer, is_still, still_background
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
@@ -41,6 +42,9 @@ from polhode.runtime.processes import in_order
 BLOCK = 128
 """Pairs that are examined before the masks of the first of them are finished; bounds the memory."""
 
+MIN_AT_INFINITY = 0.15
+"""Share of the matches along the border by which a pair shows a background at infinity, where no plane is
+found"""
 MIN_AGREEMENT, MAX_CONTRADICTED, MIN_FAR_SHARE = 0.8, 0.25, 0.5
 MAX_AREA_RATIO = 1.6
 """Of the target's area to the median of the pairs around it,"""
@@ -81,22 +85,32 @@ def find_background(sequence: StereoSequence, rectifier: Rectifier) -> Backgroun
     # pairs in which the background is looked for
     spread = np.unique(np.linspace(0, len(sequence) - 1, 8).round().astype(int)).tolist()
     frames = [k for k in spread if sequence.read_left(k)[1] is None]
-    # share of the border that is brighter than the sky, in half of the images: less is a dark sky
-    bright = [lit_border(rectifier(sequence.read_left(k)[0], 0), rectifier.borders[0]) > 0.1 for k in frames]
-    if not frames or sum(bright) < 0.5 * len(bright):
+    if not frames or sum(_is_bright(sequence, rectifier, k) for k in frames) < 0.5 * len(frames):
         return None
-    planes: dict[int, FarPlane] = {}
+    planes, offset_px, at_infinity = dict[int, FarPlane](), rectifier.rig.disparity_offset_px, 0
     for k in frames:
-        offset_px = rectifier.rig.disparity_offset_px
         if sequence.has_ranges:
             plane = range_plane(frame_disparity(sequence, rectifier, k), offset_px)
         else:
             raw = sequence.read_pair(k)
-            plane = find_far_plane(rectifier(raw.left, 0), rectifier(raw.right, 1), offset_px, rectifier.seen)
+            images = rectifier(raw.left, 0), rectifier(raw.right, 1)
+            matches = border_matches(*images, offset_px, rectifier.seen)
+            plane = find_far_plane(matches)
+            at_infinity += matches.share_at_infinity >= MIN_AT_INFINITY
         if plane is not None:
             planes[k] = plane
     found = _common_background(sequence, rectifier, planes, len(frames))
+    if found is None and at_infinity >= max(2.0, 0.5 * len(frames)):
+        # a target that hides most of the border has planes of its own there, and they turn
+        return Background(np.zeros(3))
     return _still(sequence, rectifier) if found is None else found
+
+
+def _is_bright(sequence: StereoSequence, rectifier: Rectifier, k: int) -> bool:
+    """Whether the border of a left image is not a dark sky: parts of it are brighter, or all of it is."""
+    image, border = rectifier(sequence.read_left(k)[0], 0), rectifier.borders[0]
+    # share of the border that is brighter than the sky
+    return lit_border(image, border) > 0.1 or bool(np.median(image[border]) >= DARK_SKY_DN)
 
 
 def _still(sequence: StereoSequence, rectifier: Rectifier) -> Background | None:

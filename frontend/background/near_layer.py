@@ -54,7 +54,8 @@ IMPOSSIBLE = 11.0
 DEPTH_PX = 4
 UNLIT = 2.0
 """Cost against it there where the image is as dark as its darkest tenth, in an image that shows dark sky."""
-DARK_SKY_DN = 16.0
+DARK_SKY_DN, NOT_DARK_PERCENT = 16.0, 5.0
+"""Brightness below which a background is dark sky; the darkest of the border, as the target may reach it"""
 SAME_COST = 2.0
 """Cost at which an image may differ from the background that other frames show, or not,"""
 BY_TIME = (-4.0, 6.0)
@@ -112,10 +113,12 @@ def near_layer(
     scale = working_scale(left.shape[1])
     small, other = reduced_image(left, scale), reduced_image(right, scale)
     whole = np.ones(left.shape, dtype=bool)
-    shown, shown_right = (reduced_seen(each, scale) for each in (seen or (whole, whole)))
+    seen = seen or (whole, whole)
+    shown, shown_right = (reduced_seen(each, scale) for each in seen)
     far, far_share, offset = _levelled(small, other, plane.reduced(scale), shown, shown_right)
     moved, inside = _moved(other, far)
-    inside &= shown & (_moved(shown_right.astype(np.uint8), far)[0] > 0)
+    shown_moved = inside & (_moved(shown_right.astype(np.uint8), far)[0] > 0)
+    inside &= shown & shown_moved
     # smallest disparity of the target beyond the background's, in those images
     there, back = both_ways(small, moved, 3, int(REACH * small.shape[1]))
     by_time = by_time_moved = None
@@ -123,9 +126,10 @@ def near_layer(
         by_time, in_right = (evidence_of_change(*each) for each in zip((small, other), behind, strict=True))
         v, u = np.mgrid[: far.shape[0], : far.shape[1]].astype(np.float32)
         by_time_moved = np.asarray(cv2.remap(in_right, u - far, v, cv2.INTER_LINEAR), np.float32)[:, ::-1]
-    of_left = _labels(small, moved, there, back, inside, by_time)
+    of_left = _labels(small, moved, there, back, shown, inside, by_time)
     of_moved = _labels(
-        _flipped(moved), _flipped(small), _flipped(back), _flipped(there), _flipped(inside), by_time_moved
+        *(_flipped(moved), _flipped(small), _flipped(back), _flipped(there)),
+        *(_flipped(shown_moved), _flipped(inside), by_time_moved),
     )
     right_target = of_moved.target[:, ::-1]
     quality = MaskQuality(
@@ -139,7 +143,8 @@ def near_layer(
     v, u = np.mgrid[: small.shape[0], : small.shape[1]].astype(np.float32)
     columns = ((u + behind_it.b * v + behind_it.c) / (1.0 - behind_it.a)).astype(np.float32)
     target_right = cv2.remap(right_target.astype(np.uint8), columns, v, cv2.INTER_NEAREST) > 0
-    return NearLayer(refined(left, of_left.target, scale), refined(right, target_right, scale), quality)
+    left_target, target_right = refined(left, of_left.target, scale), refined(right, target_right, scale)
+    return NearLayer(left_target & seen[0], target_right & seen[1], quality)
 
 
 def _flipped(image: NDArray[Values]) -> NDArray[Values]:
@@ -170,26 +175,34 @@ def _moved(right: Image, far: Floats) -> tuple[Image, Bools]:
 
 
 def _labels(
-    image: Image, other: Image, near: Floats, back: Floats, inside: Bools, by_time: Floats | None
+    image: Image,
+    other: Image,
+    near: Floats,
+    back: Floats,
+    shown: Bools,
+    inside: Bools,
+    by_time: Floats | None,
 ) -> _Labels:
     """Layers of an image (h, w), of which the other one has the same background and is to the right.
 
-    near: disparities of the target, were it everywhere; back: those of the other image; inside: what both
-    see; by_time: what other frames say.
+    near: disparities of the target, were it everywhere; back: those of the other image; shown: what its
+    camera sees; inside: what both do; by_time: what other frames say.
     """
-    evidence, far = _evidence(image, other, near, agreeing(near, back))
+    agrees = agreeing(near, back)
+    evidence, far = _evidence(image, other, near, agrees, shown)
     if by_time is not None:
         evidence = np.where(by_time == 0.0, evidence, np.minimum(evidence, MAX_BY_STEREO) + by_time)
     far = np.where(inside, far, np.float32(0.0)).astype(np.float32)
-    alone = (
-        np.float32(-CERTAIN - 1.0) if by_time is None else np.where(by_time == 0.0, -CERTAIN - 1.0, by_time)
-    )
-    evidence = np.where(inside, evidence, alone).astype(np.float32)
+    nothing = np.float32(-CERTAIN - 1.0)
+    alone = np.where(agrees, np.float32(0.0), nothing)
+    if by_time is not None:
+        alone = np.where(by_time == 0.0, alone, by_time)
+    evidence = np.where(shown, np.where(inside, evidence, alone), nothing).astype(np.float32)
     smooth = guided(image, evidence, 3, 1e-3)
     return _Labels(large_parts(filled(outline(image, smooth), evidence)), evidence, far)
 
 
-def _evidence(image: Image, other: Image, near: Floats, agrees: Bools) -> tuple[Floats, Floats]:
+def _evidence(image: Image, other: Image, near: Floats, agrees: Bools, shown: Bools) -> tuple[Floats, Floats]:
     """Cost of the background minus cost of the target, and cost of the background (h, w)."""
     height, width = image.shape
     v, u = np.mgrid[:height, :width].astype(np.float32)
@@ -219,7 +232,11 @@ def _evidence(image: Image, other: Image, near: Floats, agrees: Bools) -> tuple[
         cost = np.where(impossible, IMPOSSIBLE, cost)
     evidence = np.minimum(far, MAX_EVIDENCE) - cost + TARGET_FIRST
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
-    if np.median(smooth[smooth <= np.percentile(smooth, 10)]) < DARK_SKY_DN:
+    border = smooth[border_ring(shown)]
+    if len(border) and np.percentile(border, NOT_DARK_PERCENT) >= DARK_SKY_DN:
+        # no sky: what is dark is the target's shadow, though it fits the background, as dark in both images
+        evidence = np.where(smooth < DARK_SKY_DN, np.maximum(evidence, 0.0), evidence)
+    elif np.median(smooth[smooth <= np.percentile(smooth, 10)]) < DARK_SKY_DN:
         evidence = evidence - UNLIT * ((smooth < sky_level(smooth)) & (far < 1.0))
     return np.asarray(evidence, dtype=np.float32), far
 

@@ -28,6 +28,8 @@ SAMPLE = Path(__file__).parents[3] / "examples" / "sample"
 SIZE = (WIDTH, HEIGHT)
 RECTIFIER = Rectifier(replace(RIG, disparity_offset_px=0.0), np.eye(4), None, (SIZE, SIZE))
 FAR, NEAR = texture(1, 110.0, 30.0), texture(2, 110.0, 30.0)
+CLOUDS = np.full_like(FAR, 34.0)
+CLOUDS[20:60] = texture(3, 60.0, 10.0)[20:60]
 GOOD = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
 
 
@@ -71,6 +73,20 @@ def test_a_wall_is_found_where_it_is_in_N_and_the_target_before_it(moving: bool)
     _, _, mask, mask_right = pair_of(planes[2], FAR, NEAR)
     assert min(overlap(masks[0], mask), overlap(masks[1], mask_right)) > 0.95
     assert doubtful_frames(found) == []
+
+
+@pytest.mark.parametrize(
+    ("far", "radius_px"), [(FAR, 150.0), (CLOUDS, 50.0)], ids=["mostly hidden", "plain but for clouds"]
+)
+def test_the_earth_is_found_where_little_of_it_is_seen(far: Array, radius_px: float) -> None:
+    """A target across the border, at another distance in each pair; a ground as dark as the darkest tenth."""
+
+    def pair(k: int) -> StereoImages:
+        images = pair_of(INFINITY, far, NEAR, disparity_px=30.0 + 8.0 * k, radius_px=radius_px)
+        return StereoImages(*images[:2], None, None)
+
+    background = find_background(drawn(pair, np.tile(np.eye(4), (4, 1, 1))), RECTIFIER)
+    assert background is not None and background.at_infinity
 
 
 def test_the_earth_is_found_at_infinity_and_nothing_before_a_dark_sky_or_a_turning_plane() -> None:

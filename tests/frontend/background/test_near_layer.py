@@ -5,6 +5,7 @@ import pytest
 
 from polhode.frontend.background.far_plane import (
     FarPlane,
+    border_matches,
     find_far_plane,
     plane_in_N,
     plane_seen_from,
@@ -27,7 +28,7 @@ from tests.frontend.background.synthetic_pairs import (
 )
 
 FAR, NEAR = texture(1, 110.0, 30.0), texture(2, 110.0, 30.0)
-BRIGHT, PLAIN = texture(1, 120.0, 30.0, 4.0), np.full((HEIGHT, 2 * WIDTH), 4.0)
+BRIGHT, PLAIN, BLACK = texture(1, 120.0, 30.0, 4.0), *(np.full((HEIGHT, 2 * WIDTH), n) for n in (60.0, 4.0))
 LIMB = texture(1, 120.0, 20.0, 4.0)
 LIMB[:100] = 2.0
 
@@ -35,7 +36,7 @@ LIMB[:100] = 2.0
 @pytest.mark.parametrize("plane", [INFINITY, WALL], ids=["infinity", "wall"])
 def test_a_far_plane_is_found_in_one_pair(plane: FarPlane) -> None:
     left, right, *_ = pair_of(plane, FAR, NEAR)
-    found = find_far_plane(left, right, 0.0)
+    found = find_far_plane(border_matches(left, right, 0.0))
     assert found is not None and (plane is WALL or found == INFINITY)
     np.testing.assert_allclose(found.corners(WIDTH, HEIGHT), plane.corners(WIDTH, HEIGHT), atol=1.0)
 
@@ -47,8 +48,9 @@ def test_a_far_plane_is_found_in_one_pair(plane: FarPlane) -> None:
         (WALL, FAR, NEAR),
         (INFINITY, BRIGHT, texture(2, 22.0, 5.0)),
         (INFINITY, LIMB, texture(2, 90.0, 35.0)),
+        (INFINITY, BRIGHT, BLACK),
     ],
-    ids=["as bright", "before a wall", "dark side", "limb and black sky"],
+    ids=["as bright", "before a wall", "dark side", "limb and black sky", "black before a bright background"],
 )
 def test_a_target_is_found_in_both_images(plane: FarPlane, far: Array, near: Array) -> None:
     left, right, disk, disk_right = pair_of(plane, far, near)
@@ -61,10 +63,10 @@ def test_a_target_is_found_in_both_images(plane: FarPlane, far: Array, near: Arr
 
 
 def test_what_is_wrong_shows_in_the_quality() -> None:
-    """A black plain target that is not found, a background alone, and a background that is elsewhere."""
+    """A dim plain target that is not found, a background alone, and a background that is elsewhere."""
     left, right, disk, _ = pair_of(INFINITY, BRIGHT, PLAIN)
     layer = near_layer(left, right, INFINITY)
-    assert overlap(layer.left, disk) < 0.5 and layer.quality.contradicted > 2.0 * MAX_CONTRADICTED
+    assert overlap(layer.left, disk) < 0.6 and layer.quality.contradicted > 2.0 * MAX_CONTRADICTED
     left, right, *_ = pair_of(WALL, FAR, NEAR, radius_px=0.0)
     layer = near_layer(left, right, WALL)
     assert not layer.left.any() and not layer.right.any()
@@ -77,8 +79,10 @@ def test_the_edge_of_what_a_rectified_image_shows_is_no_background() -> None:
     left, right, *_ = pair_of(INFINITY, np.full((HEIGHT, 2 * WIDTH), 110.0), NEAR)
     seen = np.abs(U - 170.0) < 130.0 + 0.1 * V, np.abs(U - 160.0) < 130.0 + 0.1 * V
     left, right = np.where(seen[0], left, np.uint8(0)), np.where(seen[1], right, np.uint8(0))
-    assert find_far_plane(left, right, 0.0) is not None
-    assert find_far_plane(left, right, 0.0, seen) is None
+    assert find_far_plane(border_matches(left, right, 0.0)) is not None
+    assert find_far_plane(border_matches(left, right, 0.0, seen)) is None
+    layer = near_layer(left, right, INFINITY, seen=seen)
+    assert not (layer.left & ~seen[0]).any() and not (layer.right & ~seen[1]).any()
 
 
 def test_a_plane_seen_from_elsewhere_is_where_its_points_are() -> None:
