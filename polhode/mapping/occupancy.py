@@ -10,12 +10,13 @@ frame says of each cell of a grid in G one of three things:
 
 A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from
 silhouettes: Laurentini, IEEE PAMI 16, 1994). As matter may face away from the Sun, and antennas glint in few
-frames, a share of the frames is enough; of the cells on one ray those count that most frames agree on. Cells
-are larger than antennas: one is shown where any pixel that it covers shows matter, and before the sky where
-all are sky. It is *possible* where no two frames say that it is free and the convex hull of surface and
-outlined cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos and Seitz,
-Int. J. Computer Vision 38, 2000). It is *empty* where two frames show the sky although the Sun reaches it:
-however uncertain, the surface is not there.
+frames, a share of the frames is enough; of the cells on one ray those count that most frames agree on, and of
+these the ones that are not much farther from the surface than others, as a body is in one piece. Cells are
+larger than antennas: one is shown where any pixel that it covers shows matter, and before the sky where all
+are sky. It is *possible* where no two frames say that it is free and the convex hull of surface and outlined
+cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos and Seitz, Int. J.
+Computer Vision 38, 2000). It is *empty* where two frames show the sky although the Sun reaches it: however
+uncertain, the surface is not there.
 """
 
 from collections.abc import Iterable, Sequence
@@ -55,6 +56,10 @@ SHARE_SHOWN = 0.3
 """Of the frames that say something, those that show an outlined cell"""
 SHARE_OF_RAY = 0.6
 """Of the largest such share on a ray, that of the cells which may be what the pixel shows"""
+NEAREST_OF_RAY, MORE_CELLS = 2.0, 8.0
+"""Distance from the surface up to which such cells count, over that of the nearest, and cells beyond that"""
+MOST_FRAMES = 0.5
+"""Of the frames that show a cell, those in which it counts"""
 LEAST_SPREAD = 0.08
 """One minus the mean of the directions from which a cell is shown: 23 degrees about their mean"""
 DIRECTIONS, WITHIN_SHARE = 300, 0.15
@@ -131,9 +136,9 @@ def _outlined(grid: _Grid, pictures: Sequence["_Picture"], surface_G: Array) -> 
         _count(shown, free, from_, grid.origin_G, grid.step_m, picture.eye_G, *picture.parts)
     share = (shown / np.maximum(shown + free, 1)).astype(np.float32)
     outlined = (shown >= LEAST_SHOWN) & (share >= SHARE_SHOWN)
-    outlined[outlined] = _explains(
-        grid.centres(np.argwhere(outlined)), share[outlined], grid.step_m, pictures
-    )
+    places_G = grid.centres(np.argwhere(outlined))
+    away_m = cKDTree(surface_G).query(places_G)[0]
+    outlined[outlined] = _explains(places_G, share[outlined], away_m, grid.step_m, pictures)
     places_G = grid.centres(np.argwhere(outlined))
     located, between = _located(places_G, from_[outlined], shown[outlined], surface_G)
     attached = located | (cKDTree(surface_G).query(places_G)[0] <= ATTACHED_CELLS * grid.step_m)
@@ -167,17 +172,26 @@ def _stay_open(
     return open_
 
 
-def _explains(p_G: Array, share: Floats, step_m: float, pictures: Sequence["_Picture"]) -> Bools:
-    """(n,) whether several frames have none much better for what they show along the rays to cells (n, 3)."""
-    agreed = np.zeros(len(p_G), dtype=np.int64)
+def _explains(
+    p_G: Array, share: Floats, away_m: Array, step_m: float, pictures: Sequence["_Picture"]
+) -> Bools:
+    """(n,) whether several frames, most of those that show cells (n, 3), have no better ones on their rays:
+    on which much more frames agree, or as many and that are much nearer to the surface, away_m (n,) away.
+    """
+    shows, agreed = (np.zeros(len(p_G), dtype=np.int64) for _ in range(2))
     for picture in pictures:
         pixel = _shown_in(p_G, step_m, *picture.parts)
         shown = np.flatnonzero(pixel[:, 0] >= 0)
+        shows[shown] += 1
         at = tuple(pixel[shown].T)
-        best = np.zeros(picture.kind.shape, dtype=np.float32)
+        best, nearest = np.zeros(picture.kind.shape, dtype=np.float32), np.full(picture.kind.shape, np.inf)
         np.maximum.at(best, at, share[shown])
-        agreed[shown] += share[shown] >= SHARE_OF_RAY * maximum_filter(best, 3)[at]
-    return np.asarray(agreed >= LEAST_SHOWN)
+        shown = shown[share[shown] >= SHARE_OF_RAY * maximum_filter(best, 3)[at]]
+        at = tuple(pixel[shown].T)
+        np.minimum.at(nearest, at, away_m[shown])
+        reach_m = NEAREST_OF_RAY * minimum_filter(nearest, 3)[at] + MORE_CELLS * step_m
+        agreed[shown] += away_m[shown] <= reach_m
+    return np.asarray((agreed >= LEAST_SHOWN) & (agreed >= MOST_FRAMES * shows))
 
 
 def _located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> tuple[Bools, Bools]:

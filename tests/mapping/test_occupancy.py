@@ -88,6 +88,33 @@ def test_an_antenna_thinner_than_a_cell_that_not_all_frames_show_is_outlined() -
         assert (states(found(BOX, views), along) == OUTLINED).mean() == 0.0
 
 
+def test_of_the_cells_on_a_ray_those_count_that_agree_most_and_are_near_the_surface() -> None:
+    """Frames that all see the cells on one ray; others that see a cell of their own beside the last one."""
+
+    def frame(shift_m: float = 0.0) -> module._Picture:
+        picture = module._Picture.__new__(module._Picture)
+        picture.kind = np.full((41, 41), module.TARGET, dtype=np.uint8)
+        sees_all = np.full((41, 41), np.inf, dtype=np.float32)
+        X = np.eye(4)
+        X[0, 3] = shift_m
+        pinhole = np.array([100.0, 20.0, 20.0, 0.0, 0.0, 0.0, 0.0])
+        picture.parts = (X, pinhole, sees_all, -sees_all, picture.kind)
+        return picture
+
+    step_m, z = 0.01, np.array([1.0, 1.1, 1.2, 1.3, 1.4])
+    p_G = np.column_stack([0.0 * z, 0.0 * z, z])
+    away_m, share = z - 0.9, np.array([1.0, 1.0, 1.0, 1.0, 0.5], dtype=np.float32)
+    agree = module._explains(p_G, share, away_m, step_m, [frame(), frame()])
+    reach_m = module.NEAREST_OF_RAY * away_m[0] + module.MORE_CELLS * step_m
+    np.testing.assert_array_equal(agree, (away_m <= reach_m) & (share == 1.0))
+    assert 0 < agree.sum() < 4 and not module._explains(p_G, share, away_m, step_m, [frame()]).any()
+    # from elsewhere the rays to the near cell and to the last one, on which all agree, are apart
+    share[-1] = 1.0
+    for others in (1, 2, 3):
+        agree = module._explains(p_G, share, away_m, step_m, [*([frame()] * 2), *([frame(0.15)] * others)])
+        assert agree[0] and agree[-1] == (others >= 2)
+
+
 def test_a_side_that_is_never_lit_stays_possible_within_the_hull() -> None:
     """The light is fixed to the body, as of one that always shows the Sun the same side."""
     sun_G = np.array([0.0, 0.0, 1.0])
