@@ -634,10 +634,16 @@ class DisturbancePaths:
         return shift, turn
 
 
-def pose_covariance(members: Ensemble, motion: BodyMotion) -> Array:
-    """Second moments (T, 6, 6) of shift [m] and turn [rad] along G: p_N = X_NG (Exp(turn) p_G + shift)."""
+def pose_covariance(members: Ensemble, motion: BodyMotion, com_G: Array) -> Array:
+    """Second moments (T, 6, 6) of shift [m] and turn [rad] along G: p_N = X_NG (Exp(turn) p_G + shift).
+
+    The shift is that of the centre of mass, moved to the origin of G as small turns move it: however far the
+    members have turned, that centre has the sigma that it has.
+    """
     back = np.swapaxes(motion.R_NG, 1, 2)
-    shift = np.einsum("tij,ntj->nti", back, members.p_NG - motion.p_NG)
+    of_com = members.p_NG + members.R_NG @ com_G - (motion.p_NG + motion.R_NG @ com_G)
+    shift = np.einsum("tij,ntj->nti", back, of_com)
     turn = log_so3(back @ members.R_NG)
-    both = np.concatenate([shift, turn], axis=-1)
+    # the shift of the origin: that of the centre less turn x com
+    both = np.concatenate([shift - np.cross(turn, com_G), turn], axis=-1)
     return np.asarray(np.einsum("nti,ntj->tij", both, both) / len(both))

@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from polhode.geometry.lie import Array, exp_so3, log_so3
+from polhode.geometry.lie import Array, exp_so3, hat, log_so3
 from polhode.geometry.rigid_body import propagate
 from polhode.planning.prediction import (
     UNKNOWN_RAD,
     DisturbancePaths,
+    Ensemble,
     FinalState,
     axes_jacobian,
     draw_deviations,
@@ -340,12 +341,23 @@ def test_regions_hold_where_strong_disturbances_turn_the_body_far_off() -> None:
 def test_members_spread_as_the_covariance_says() -> None:
     target = estimate((0.0, 0.0, 0.4), (0.01, 0.0, 0.0))
     members = draw_ensemble(target, TIMES, 1500, 3)
-    P = pose_covariance(members, nominal_motion(target, TIMES))
+    P = pose_covariance(members, nominal_motion(target, TIMES), target.com_G)
     sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
     # about the spin axis: attitude and rate; the place: r, v t and the lever of the centre of mass
     np.testing.assert_allclose(sigma[0, 5], np.hypot(5e-3, 0.1 * 2e-4), rtol=0.06)
     place = np.sqrt((1e-3) ** 2 + (8.0 * 1e-4) ** 2 + (5e-4) ** 2)
     np.testing.assert_allclose(sigma[-1, 0:3], place, rtol=0.06)
+
+
+def test_however_far_members_turn_the_centre_of_mass_has_its_own_sigma() -> None:
+    """Errors of the attitude of any angle about a centre that is far from the origin of G."""
+    rng, com_G = np.random.default_rng(4), np.array([0.3, -0.1, 0.2])
+    motion = nominal_motion(estimate((0.0, 0.0, 0.4), (0.01, 0.0, 0.0)), TIMES[:1])
+    R_NG = motion.R_NG @ exp_so3(rng.normal(0.0, 1.0, (4000, 3)))
+    of_com = motion.p_NG + motion.R_NG @ com_G + rng.normal(0.0, 0.01, (4000, 1, 3))
+    P = pose_covariance(Ensemble(R_NG[:, None], of_com - R_NG[:, None] @ com_G), motion, com_G)[0]
+    J = np.hstack([np.eye(3), -hat(com_G)])
+    np.testing.assert_allclose(np.sqrt(np.linalg.eigvalsh(J @ P @ J.T)), 0.01, rtol=0.05)
 
 
 def test_the_estimate_is_a_member_without_deviation() -> None:

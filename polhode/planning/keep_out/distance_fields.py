@@ -80,7 +80,7 @@ TOLERANCE_CELLS = 0.15
 """By so much less a field may be lowered than it could be."""
 SLOWER = 0.9
 """Interpolated distances may change a little faster than true ones."""
-DEEP_CELLS = 2.0
+DEEP_CELLS = 4.0
 """A cell this far inside is not updated."""
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from polhode.geometry.lie import Array, hat
 from polhode.planning.keep_out.distance_fields import (
+    DEEP_CELLS,
     outermost_pairs,
     protrusion,
     protrusion_at_instants,
@@ -49,6 +50,8 @@ from polhode.runtime.progress import Advance, Progress, Silent
 Floats = NDArray[np.float32]
 FACTORS = np.array([1.5, 2.0, 3.0, 5.0, 9.0])
 """Candidates of c; the remaining margin is added uniformly."""
+LEAST_CELLS = DEEP_CELLS - 1.0
+"""By which what c sigma grow may be taken back, where motions stay within less"""
 COARSE_SIGMAS = 5.0
 """Of the centre of mass, as far as the grid reaches on which c is chosen, and as far as its members do"""
 SURFACE_SHARE = 0.1
@@ -140,7 +143,7 @@ def _keep_out(
     choosing = min(CHOOSING, options.drawn // 2)
     motion = nominal_motion(estimate, times)
     halves = members.part(slice(0, choosing)), members.part(slice(choosing, None))
-    covariance = pose_covariance(halves[0], motion)
+    covariance = pose_covariance(halves[0], motion, estimate.com_G)
     instant = _instant(body, motion, covariance, halves, options)
     advance()
     swept = _swept(body, estimate, motion, covariance, halves, options, advance)
@@ -255,7 +258,7 @@ def _swept(
     origin, fields = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
     scores = coarse.scores(origin, fields, halves[0])
     bounds = np.array([ScoreTail.of(each).bound(options.pose_miss) for each in scores.T])
-    allowed = np.maximum(bounds, -coarse.step_m)
+    allowed = np.maximum(bounds, -LEAST_CELLS * coarse.step_m)
     sizes = [
         np.inf if reaches_border(field - np.float32(most)) else (field <= most).sum()
         for field, most in zip(np.moveaxis(fields, -1, 0), allowed, strict=True)
@@ -273,7 +276,7 @@ def _swept(
         origin, fields = fine.fields(more_m, factors)
         beyond = fine.scores(origin, fields, halves[1])[:, 0]
         tail = ScoreTail.of(beyond)
-        added = max(tail.bound(options.pose_miss), -step)
+        added = max(tail.bound(options.pose_miss), -LEAST_CELLS * step)
         level = fields[..., 0] - np.float32(added)
         if max(added, float(beyond.max())) <= more_m and not reaches_border(level):
             level = np.where(cavities(level), -np.float32(step), level)
