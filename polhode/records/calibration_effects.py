@@ -91,8 +91,9 @@ def terms_at(uv_px: Array, rig: RectifiedRig) -> Array:
     """(M, T) values of the polynomials' basis at pixels (M, 2); constant beyond a tenth of the image."""
     half = 0.5 * np.array([rig.width_px - 1, rig.height_px - 1])
     x, y = np.clip(uv_px / half - 1.0, -1.2, 1.2).T
-    basis = np.polynomial.chebyshev.chebvander2d(x, y, [DEGREE, DEGREE])
-    return np.asarray(basis[:, kept_terms()])
+    # chebvander2d refuses to make the basis of no pixels, as a frame in the dark has them
+    of_x, of_y = (np.polynomial.chebyshev.chebvander(each, DEGREE) for each in (x, y))
+    return np.asarray((of_x[:, :, None] * of_y[:, None, :])[:, kept_terms().reshape(DEGREE + 1, -1)])
 
 
 def kept_terms() -> Bools:

@@ -104,3 +104,6 @@ def test_a_plane_seen_by_a_wrong_calibration_is_where_it_is(longer: float, shift
     # what follows from the slope is bounded where depth jumps
     stepped = replace(depth, depth_m=np.where(u < 60, depth_m, depth_m + 1.0).astype(np.float32))
     assert np.nanmax(np.abs(freed_depth(rig, correction, stepped).depth_m - stepped.depth_m)) < 0.06
+    # a frame in the dark has none
+    dark = replace(depth, depth_m=np.full(SIZE, np.nan, dtype=np.float32))
+    assert not np.isfinite(freed_depth(rig, correction, dark).depth_m).any()
