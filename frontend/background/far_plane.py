@@ -175,11 +175,11 @@ def plane_of_most(A: Array, d: Array, allowed: Array | float, known: Array, lead
 class BorderMatches:
     """Matches along the border of a rectified pair, at the size in which the plane is looked for."""
 
-    place: Array
+    place_px: Array
     """(n, 3) columns, rows, ones"""
-    disparity: Array
+    disparity_px: Array
     """(n,)"""
-    at_infinity: float
+    infinity_px: float
     """The disparity of infinity"""
     scale: int
     """Pixels of the pair for one of this size"""
@@ -187,9 +187,9 @@ class BorderMatches:
     @property
     def share_at_infinity(self) -> float:
         """Of the matches; a target's surface has none, whatever it fills."""
-        if len(self.disparity) < MIN_MATCHES:
+        if len(self.disparity_px) < MIN_MATCHES:
             return 0.0
-        return float(np.mean(np.abs(self.disparity - self.at_infinity) < INLIER_PX))
+        return float(np.mean(np.abs(self.disparity_px - self.infinity_px) < INLIER_PX))
 
 
 def border_matches(
@@ -217,10 +217,10 @@ def find_far_plane(matches: BorderMatches) -> FarPlane | None:
 
     That at infinity is taken if it explains nearly as many matches as another.
     """
-    A, d = matches.place, matches.disparity
+    A, d = matches.place_px, matches.disparity_px
     if len(d) < MIN_MATCHES:
         return None
-    infinity = np.array([0.0, 0.0, matches.at_infinity])
+    infinity = np.array([0.0, 0.0, matches.infinity_px])
     best = plane_of_most(A, d, INLIER_PX, infinity, 1.05)
     infinite = best is infinity
     inlier = np.abs(A @ best - d) < INLIER_PX

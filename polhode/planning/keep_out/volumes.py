@@ -50,7 +50,7 @@ from polhode.runtime.progress import Advance, Progress, Silent
 Floats = NDArray[np.float32]
 FACTORS = np.array([1.5, 2.0, 3.0, 5.0, 9.0])
 """Candidates of c; the remaining margin is added uniformly."""
-LEAST_CELLS = DEEP_CELLS - 1.0
+TAKEN_BACK_CELLS = DEEP_CELLS - 1.0
 """By which what c sigma grow may be taken back, where motions stay within less"""
 COARSE_SIGMAS = 5.0
 """Of the centre of mass, as far as the grid reaches on which c is chosen, and as far as its members do"""
@@ -258,7 +258,7 @@ def _swept(
     origin, fields = coarse.fields(BORDER_CELLS * coarse.step_m, FACTORS)
     scores = coarse.scores(origin, fields, halves[0])
     bounds = np.array([ScoreTail.of(each).bound(options.pose_miss) for each in scores.T])
-    allowed = np.maximum(bounds, -LEAST_CELLS * coarse.step_m)
+    allowed = np.maximum(bounds, -TAKEN_BACK_CELLS * coarse.step_m)
     sizes = [
         np.inf if reaches_border(field - np.float32(most)) else (field <= most).sum()
         for field, most in zip(np.moveaxis(fields, -1, 0), allowed, strict=True)
@@ -276,7 +276,7 @@ def _swept(
         origin, fields = fine.fields(more_m, factors)
         beyond = fine.scores(origin, fields, halves[1])[:, 0]
         tail = ScoreTail.of(beyond)
-        added = max(tail.bound(options.pose_miss), -LEAST_CELLS * step)
+        added = max(tail.bound(options.pose_miss), -TAKEN_BACK_CELLS * step)
         level = fields[..., 0] - np.float32(added)
         if max(added, float(beyond.max())) <= more_m and not reaches_border(level):
             level = np.where(cavities(level), -np.float32(step), level)
