@@ -62,7 +62,9 @@ def propagate(
         q_dot = 0.5 * np.array(
             [-x * p - yq * q - z * r, w * p + yq * r - z * q, w * q + z * p - x * r, w * r + x * q - yq * p]
         )
-        w_dot = J_inv @ (torque - np.cross(y[10:13], J @ y[10:13]))
+        a, b, c = J @ y[10:13]
+        # written out, as np.cross takes most of the time
+        w_dot = J_inv @ (torque - np.array([q * c - r * b, r * a - p * c, p * b - q * a]))
         return np.concatenate([y[3:6], accel, q_dot, w_dot])
 
     if len(t) == 1:
