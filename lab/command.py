@@ -54,8 +54,7 @@ QUICK = ("--scene.render.samples", "1", "--scene.render.bounces", "0", "--runtim
 """Options that make rendering quick, for short forms."""
 LIGHT = {
     "frontend.features.second": None,
-    "pictures.views": False,
-    "pictures.animation": False,
+    "outputs": ("motion", "surface"),
     "mapping.voxel_mm": 10.0,
 }
 """Settings that make a run quick, for short forms."""

@@ -87,6 +87,8 @@ BENCHMARKS = (
               short=f"--run {SAMPLE_RUN} --sequence examples/sample"),
     Benchmark("against_slam", "end_to_end.against_slam", "README.md", 15, "--scenes sample closed_tumble",
               "--short --record runs/short/records/against_slam"),
+    Benchmark("cost", "end_to_end.cost", "docs/validation.md", 10,
+              short="--short --record runs/short/records/cost"),
     Benchmark("footprint", "end_to_end.footprint", "README.md", 2,
               short="--short --record runs/short/records/footprint"),
     Benchmark("report_picture", "end_to_end.report_picture", "docs/checks.md", 1,

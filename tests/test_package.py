@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 LIGHT = (
     *("--frontend.features.second", "None", "--frontend.depth.method", "sgbm"),
     *("--backend.window.enabled", "False", "--backend.bounds.intervals", "False", "--mapping.voxel-mm", "10"),
-    *("--pictures.views", "False", "--pictures.animation", "False"),
+    *("--outputs", "motion", "surface"),
 )
 """Options that make a run of a few frames short."""
 

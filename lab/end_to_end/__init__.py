@@ -7,6 +7,7 @@ In: configurations of scenes. Out: errors, consistency of covariances, predictio
     against_slam       beside COLMAP (colmap) and stereo odometry (orb_odometry), compared by found_poses
     photographs        a real object with known motion
     prediction_error   a prediction against what came after it
+    cost               seconds of the processor over those of one SIFT
     footprint          disk and memory that the program needs
     report_picture     a part of a report as a picture
 """

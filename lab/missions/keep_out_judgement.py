@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
+from lab.end_to_end.cost import seconds_of_one_sift
 from lab.missions.smallest_sweep import FINE, Smallest, is_outer, outer_surface, smallest_sweep
 from polhode.frontend.segmentation import target_mask
 from polhode.geometry.lie import Array, Bools, inverse_pose, transform_points
@@ -17,7 +18,6 @@ from polhode.planning.keep_out.keep_out_truth import Excess
 from polhode.planning.keep_out.volumes import KeepOut, KeepOutOptions
 from polhode.planning.plan import keep_out_of_run, surface_of
 from polhode.planning.predict import final_estimates
-from polhode.records.dataset import open_sequence
 from polhode.records.mesh_metrics import distance_to_surface, encloses
 from polhode.records.read_truth import read_truth
 from polhode.report.evaluation import TrueBody, true_body_ahead
@@ -29,8 +29,6 @@ CLAIMS = 60
 """Places and instants at which a claimed distance is compared with the true one"""
 GROWN = 0.5
 """By this share of its diagonal the box of the volume is grown for them"""
-SIFT_MARGIN_PX = 4
-"""Around the target in the images on which one SIFT is timed, enlarged twice as for the front end"""
 LEAST_WRONG_M = 1e-6
 """A claim that is farther above the truth than this is wrong: beyond the rounding of both"""
 
@@ -49,7 +47,7 @@ def keep_out_judgement(run: Path, sequence: Path, options: KeepOutOptions, seed:
     smallest = _smallest(found, run, mesh, body, options)
     return {
         "seconds_cpu": round(seconds, 2),
-        "sift_cpu": round(_sift_seconds(sequence), 2),
+        "sift_cpu": round(seconds_of_one_sift(sequence, cv2.SIFT_create(), target_mask), 2),
         "covers": found.body.covers,
         "confidence": options.confidence,
         "hypotheses": len(found.instant.hypotheses),
@@ -65,22 +63,6 @@ def keep_out_judgement(run: Path, sequence: Path, options: KeepOutOptions, seed:
         "claims": _claims(found, mesh, body, seed),
         "judging_cpu": round(process_time() - start_s - seconds, 2),
     }
-
-
-def _sift_seconds(folder: Path) -> float:
-    """Time of the processor of one SIFT over the target's part of all images."""
-    sift, sequence, total = cv2.SIFT_create(), open_sequence(folder), 0.0
-    for k in range(len(sequence)):
-        pair = sequence.read_pair(k)
-        for image in (pair.left, pair.right):
-            rows, columns = np.nonzero(target_mask(image))
-            if len(rows):
-                top, left = max(rows.min() - SIFT_MARGIN_PX, 0), max(columns.min() - SIFT_MARGIN_PX, 0)
-                part = image[top : rows.max() + SIFT_MARGIN_PX, left : columns.max() + SIFT_MARGIN_PX]
-                start_s = process_time()
-                sift.detectAndCompute(cv2.resize(part, None, fx=2.0, fy=2.0), None)
-                total += process_time() - start_s
-    return total
 
 
 def _containment(

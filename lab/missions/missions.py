@@ -38,8 +38,8 @@ from polhode.simulation.dataset.sequence import plan_sequence, write_sequence
 RECORD = RECORDS / "missions"
 Half = Literal["all", "chosen", "held back"]
 MESH = ("within_1_sigma", "within_3_sigma")
-PICTURES = {"pictures.views": False, "pictures.animation": False, "mapping.levels": (), "runtime.workers": 1}
-"""What no judgement needs"""
+SETTINGS = {"outputs": ("motion", "surface"), "runtime.workers": 1}
+"""No pictures, which no judgement needs"""
 INCOMPLETE = "right, data incomplete"
 """A right run that is doubted because most pairs are lost, or the data leave the rotation open"""
 
@@ -107,7 +107,7 @@ def sequence_and_run(
     if not (out / "summary.json").is_file():
         # summary.json says why it failed
         with suppress(RunFailure):
-            run(load_config(None, PICTURES | (settings or {})), sequence, out, Silent())
+            run(load_config(None, SETTINGS | (settings or {})), sequence, out, Silent())
     return sequence, out
 
 

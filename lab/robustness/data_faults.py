@@ -39,15 +39,15 @@ RECORD = RECORDS / "data_faults"
 CONFIGURATION: dict[str, Any] = {
     "frontend": {"features": {"max_features": 900, "second_below": 40}},
     "backend": {"window": {"enabled": False}},
-    "mapping": {"voxel_mm": 5.0, "levels": ()},
-    "pictures": {"views": False, "animation": False},
+    "mapping": {"voxel_mm": 5.0},
+    "outputs": ["motion", "surface"],
     "runtime": {"workers": 1},
 }
 """Small images give fewer features: with the default the slower second method would be used in every run."""
 LIGHT = CONFIGURATION | {
     "frontend": {"features": {"max_features": 900, "second": None}, "depth": {"method": "sgbm"}},
     "backend": {"window": {"enabled": False}, "bounds": {"intervals": False}},
-    "mapping": {"voxel_mm": 10.0, "levels": ()},
+    "mapping": {"voxel_mm": 10.0},
 }
 """Without networks and intervals and with a coarse surface, for the short form"""
 

@@ -48,15 +48,14 @@ class Runtime(Section):
     configuration too; kept only until the run is complete, in case it is interrupted; or not stored."""
 
 
+Output = Literal["motion", "surface", "pictures", "levels"]
+
+
 class Pictures(Section):
     """Pictures of the map and of the model, in RUN/pictures."""
 
-    views: bool = True
-    """Contact sheet of the mesh."""
-    animation: bool = True
-    """The model beside the camera's images with their difference, as MP4 and GIF."""
-    frames: int = Field(60, ge=1, le=10_000)
-    """Largest number of frames of the animation, spread evenly over the sequence."""
+    frames: int = Field(30, ge=1, le=10_000)
+    """Largest number of frames of the film, spread evenly over the sequence; the report shows up to 30."""
 
 
 class KeyFrames(Section):
@@ -79,6 +78,9 @@ class Config(Section):
 
     seed: Seed = 0
     """Seed of everything random."""
+    outputs: tuple[Output, ...] = ("motion", "surface", "pictures")
+    """What a run makes: the motion with mass properties and map, in any case; the mesh with what keeps its
+    surroundings clear; pictures and film of the report; lighter meshes, and the mesh for them."""
     scene: Scene | None = None
     frontend: Frontend = Frontend()
     backend: Backend = Backend()
@@ -88,3 +90,8 @@ class Config(Section):
     compare: Compare = Compare()
     train: Train | None = None
     runtime: Runtime = Runtime()
+
+    @property
+    def makes_surface(self) -> bool:
+        """Whether depth and mesh are needed for what is wanted."""
+        return not {"surface", "levels"}.isdisjoint(self.outputs)

@@ -9,6 +9,7 @@ import numpy as np
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array
 from polhode.mapping.fusion.field import fuse
+from polhode.mapping.fusion.surface_extraction import empty_surface
 from polhode.pipeline.checks.answer_checks.symmetry_turn import rotation_check, views_of_pairs
 from polhode.pipeline.context import RunContext
 from polhode.pipeline.depth_maps import DepthMaps, freed_depth
@@ -17,6 +18,11 @@ from polhode.pipeline.runner import stage
 from polhode.records.estimate import MotionEstimate
 from polhode.records.surface import DepthMap, SurfaceModel
 from polhode.run_directory.summary_schema import Check
+
+NOT_CHECKED = (
+    "outputs has no surface: whether the images show a rotation about an axis of symmetry is not checked, "
+    "and a keep-out volume cannot be planned"
+)
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +50,13 @@ def fuse_depth(context: RunContext, maps: Iterable[DepthMap], motion: MotionSolu
     return surface
 
 
+@stage("fusion", is_stored=False)
+def no_surface(context: RunContext) -> SurfaceModel:
+    """In a run that is to make none."""
+    del context
+    return empty_surface((NOT_CHECKED,))
+
+
 def correction_of(rig: RectifiedRig, estimate: MotionEstimate) -> Callable[[DepthMap], DepthMap]:
     """What frees depth maps of the errors of the calibration that were estimated."""
     found = estimate.calibration
@@ -63,3 +76,9 @@ def symmetry_check(context: RunContext, maps: DepthMaps, motion: MotionSolution)
     interval_s = float(np.median(np.diff(motion.tracks.time_s)))
     views = views_of_pairs(maps, motion.X_RG, motion.is_measured, context.rig)
     return rotation_check(views, context.rig, interval_s)
+
+
+@stage("checks", is_stored=False)
+def no_symmetry_check(context: RunContext) -> Check:
+    """In a run that makes no surface, where it has no value."""
+    return rotation_check([], context.rig, 1.0)

@@ -168,11 +168,11 @@ def colour_surface(context: RunContext, fused: SurfaceModel, views: Views) -> Co
     )
 
 
-@stage("fusion", ["mapping.levels", "seed"])
+@stage("fusion", ["outputs", "mapping.levels", "seed"])
 def lighter_meshes(context: RunContext, coloured: Coloured) -> tuple[list[DetailLevel], Sentences]:
-    """One for each share of the faces, and the warning of a failure."""
+    """One for each share of the faces if they are wanted, and the warning of a failure."""
     surface, config, none = coloured.surface, context.config, list[DetailLevel]()
-    if len(surface.mesh.faces) == 0:
+    if "levels" not in config.outputs or len(surface.mesh.faces) == 0:
         return none, ()
     return _attempt("lighter meshes", lambda: levels_of(surface, config.mapping.levels, config.seed), none)
 

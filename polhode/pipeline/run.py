@@ -7,7 +7,7 @@ from polhode.config import Config
 from polhode.pipeline import finish_surface as finish
 from polhode.pipeline import judge_motion as judge
 from polhode.pipeline import write_results as write
-from polhode.pipeline.build_surface import fuse_depth, symmetry_check
+from polhode.pipeline.build_surface import fuse_depth, no_surface, no_symmetry_check, symmetry_check
 from polhode.pipeline.correspondences import features_of_frames, match_features
 from polhode.pipeline.depth_maps import depth_maps_of
 from polhode.pipeline.find_motion import best_motion, first_motion, initial_motion, second_correspondences
@@ -80,16 +80,20 @@ def fill_run_folder(
 
     data = run(judge.data_checks, features, motion)
     doubts = run(judge.answer_checks, motion)
-    fused = run(fuse_depth, depth, motion)
-    turning = run(symmetry_check, depth, motion)
+    if run.context.config.makes_surface:
+        fused = run(fuse_depth, depth, motion)
+        turning = run(symmetry_check, depth, motion)
+    else:
+        fused, turning = run(no_surface), run(no_symmetry_check)
     views = run(finish.views_of_surface, fused, motion)
     coloured = run(finish.colour_surface, fused, views)
     run(write.write_pictures, folder, motion, coloured)
     levels = run(finish.lighter_meshes, coloured)
     run(write.write_surface, folder, coloured, levels)
     covered = run(finish.cover, coloured, views)
-    occupied = run(finish.occupied_space, coloured, views, depth, motion)
-    run(write.write_occupancy, folder, occupied)
+    if run.context.config.makes_surface:
+        occupied = run(finish.occupied_space, coloured, views, depth, motion)
+        run(write.write_occupancy, folder, occupied)
     compared = run(finish.compare_mass, coloured, motion)
     shape = run(finish.describe_shape, motion, views, coloured, covered, levels, compared)
     intervals = run(judge.motion_intervals, motion, coloured, covered)

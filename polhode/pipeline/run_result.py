@@ -57,8 +57,17 @@ def report_run(
 
 
 def _result_of(summary: Summary, estimate: MotionEstimate, written: RunFolder) -> RunResult:
+    sentence = motion_sentence(estimate, summary.frames_used, summary.intervals)
+    report = written.published / "report.html"
+    failure = summary.warnings[0] if summary.status == "failed" else None
+    place = report if report.is_file() else written.published
+    return RunResult(summary.status, place, sentence, failure, written.note)
+
+
+def motion_sentence(estimate: MotionEstimate, frames_used: int, bounded: Intervals | None = None) -> str:
+    """The motion in a sentence; bounded: of what it does not determine, where that is known already."""
     rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
-    mass, bounded, ratios = estimate.mass, summary.intervals, []
+    mass, ratios = estimate.mass, []
     for n, name in enumerate(("k1", "k2")):
         if getattr(mass.identifiable, name):
             ratios.append(f"{name} {getattr(mass, name):.4f} +- {np.sqrt(mass.cov_k[n, n]):.4f}")
@@ -66,11 +75,7 @@ def _result_of(summary: Summary, estimate: MotionEstimate, written: RunFolder) -
         ratios.append(f"{name} not determined by this motion")
         if bounded is not None and (interval := getattr(bounded, name)) is not None:
             ratios[-1] += f" (from {interval[0]:.2f} to {interval[1]:.2f} is possible)"
-    sentence = (
-        f"{summary.frames_used} of {summary.frames} frames: the target rotates at {rate_rpm:.2f} RPM; "
-        f"{', '.join(ratios)}; {summary.landmarks} landmarks"
+    return (
+        f"{frames_used} of {len(estimate.X_NG)} frames: the target rotates at {rate_rpm:.2f} RPM; "
+        f"{', '.join(ratios)}; {len(estimate.landmarks.p_G)} landmarks"
     )
-    report = written.published / "report.html"
-    failure = summary.warnings[0] if summary.status == "failed" else None
-    place = report if report.is_file() else written.published
-    return RunResult(summary.status, place, sentence, failure, written.note)

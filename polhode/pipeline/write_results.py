@@ -19,6 +19,7 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import Correspondences
 from polhode.pipeline.find_motion import Attempt, MotionSolution
 from polhode.pipeline.finish_surface import Coloured, Sentences
+from polhode.pipeline.run_result import motion_sentence
 from polhode.pipeline.runner import stage
 from polhode.records.dataset import StereoSequence
 from polhode.records.estimate import MotionEstimate, OnlineEstimate
@@ -37,7 +38,7 @@ from polhode.report.pictures.model_comparison import (
 from polhode.run_directory import outputs
 from polhode.run_directory.archives import write_measurements
 from polhode.run_directory.archives import write_occupancy as write_grid
-from polhode.runtime.progress import Advance
+from polhode.runtime.progress import NOTE, Advance
 
 INLIER_BGR, OUTLIER_BGR = (233, 180, 86), (0, 94, 213)
 """Sky blue and vermillion of Okabe and Ito, which colour-blind readers tell apart"""
@@ -61,9 +62,11 @@ def write_first_motion(context: RunContext, folder: Path, matches: Correspondenc
 
 @stage("report", writes=True)
 def write_motion(context: RunContext, folder: Path, motion: MotionSolution) -> None:
-    """The motion with its measurements."""
+    """The motion with its measurements; the user reads of it long before the verdict."""
     links = motion.links if len(motion.links) else None
     outputs.write_estimate(folder, motion.tracks, motion.estimate, links)
+    found = motion_sentence(motion.estimate, int(motion.is_measured.sum()))
+    _log.log(NOTE, "%s; the verdict is pending", found)
 
 
 @stage("report", writes=True)
@@ -88,21 +91,23 @@ def write_occupancy(context: RunContext, folder: Path, occupied: tuple[Occupancy
         write_grid(occupied[0], folder / "occupancy.npz")
 
 
-@stage("report", ["pictures"], is_stored=False)
+@stage("report", ["outputs", "pictures"], is_stored=False)
 def write_pictures(context: RunContext, folder: Path, motion: MotionSolution, coloured: Coloured) -> None:
-    """The pictures that the configuration asks for, for which no other stage waits.
+    """The pictures if they are wanted, for which no other stage waits.
 
     Tracks on the images, map and mesh from all sides, the model beside the images: where the Sun is known, in
     its light, with the shadows that it casts on itself.
     """
-    sequence, rectifier, config = context.sequence, context.rectifier, context.config.pictures
+    if "pictures" not in context.config.outputs:
+        return
+    sequence, rectifier, most = context.sequence, context.rectifier, context.config.pictures.frames
     tracks, estimate, surface = motion.tracks, motion.estimate, coloured.surface
     caster = None
     with _optional("the mesh"):
         if len(surface.mesh.faces):
             caster = Caster(surface.mesh)
-    frames = chosen_frames(tracks.n_frames, config.frames) if config.animation and caster else []
-    with context.progress.stage("pictures", 1 + config.views + len(frames)) as advance:
+    frames = chosen_frames(tracks.n_frames, most) if caster else []
+    with context.progress.stage("pictures", 2 + len(frames)) as advance:
         with _optional("tracks on the images"):
             drawn = track_pictures(sequence, rectifier, tracks, estimate)
             for number, (words, content) in enumerate(drawn.items()):
@@ -113,13 +118,12 @@ def write_pictures(context: RunContext, folder: Path, motion: MotionSolution, co
                 outputs.write_picture(folder, "masks.jpg", *strip)
         advance()
         frame = body_frame(estimate.mass)
-        if config.views:
-            with _optional("mesh.png"):
-                if caster is not None:
-                    content = draw_mesh(surface, MeshViewer(surface.mesh, caster), frame)
-                    words = f"Mesh from eight sides. {frame.description}"
-                    outputs.write_picture(folder, "mesh.png", content, words)
-            advance()
+        with _optional("mesh.png"):
+            if caster is not None:
+                content = draw_mesh(surface, MeshViewer(surface.mesh, caster), frame)
+                words = f"Mesh from eight sides. {frame.description}"
+                outputs.write_picture(folder, "mesh.png", content, words)
+        advance()
         if frames:
             with _optional("model.mp4"):
                 shown = (sequence, rectifier, tracks, estimate, surface.mesh, frames)

@@ -207,7 +207,7 @@ def open_study(path: Path, check: bool = True) -> OpenStudy:
     base["runtime"] |= {"workers": 1, "blas_threads": 1, "stages": "none"}
     if settings.keep != "whole" and "run" in settings.steps:
         # which nobody would see
-        base["pictures"] |= {"views": False, "animation": False}
+        base["outputs"] = [each for each in base["outputs"] if each != "pictures"]
     factors = [factor_of_axis(name, axis, str(path)) for name, axis in settings.axes.items()]
     factors += [factor_of_design(settings.design)] if settings.design else []
     factors += [factor_of_points(settings.points, str(path))] if settings.points else []

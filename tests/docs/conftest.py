@@ -12,7 +12,7 @@ from tests.conftest import MakeOnce
 from tests.docs.world import small_sequence
 
 QUICK_RUN = (
-    *("--frontend.features.second", "None", "--pictures.views", "False", "--pictures.animation", "False"),
+    *("--frontend.features.second", "None", "--outputs", "motion", "surface"),
     *("--mapping.voxel-mm", "8", "--frontend.depth.method", "sgbm", "--runtime.workers", "1"),
     *("--backend.bounds.intervals", "False"),
 )

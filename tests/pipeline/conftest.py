@@ -51,11 +51,11 @@ ONE_METHOD: dict[str, Any] = {
     "runtime": {"workers": 1},
     "frontend": {"features": {"second": None}, "depth": {"method": "sgbm"}},
     "mapping": {"voxel_mm": 6.0},
-    "pictures": {"animation": False, "views": False},
+    "outputs": ["motion", "surface"],
 }
 """One method of the front end, without networks and pictures, and a surface of few voxels"""
 QUICK = (
-    *("--pictures.animation", "false", "--pictures.views", "false", "--runtime.workers", "1"),
+    *("--outputs", "motion", "surface", "--runtime.workers", "1"),
     *("--frontend.depth.method", "sgbm", "--mapping.voxel-mm", "6"),
 )
 """Where nothing is asked of pictures and surface"""

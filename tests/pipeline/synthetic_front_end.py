@@ -54,7 +54,7 @@ class Outcome:
         put_in_place(generate(scene, seed), place / "sequence", patch, other)
         self.folder = place / f"run{len(list(place.iterdir()))}"
         words = ["run", "configs/default.yaml", "--data", str(place / "sequence"), "-o", str(self.folder)]
-        pictures = ("--pictures.animation", "false", "--pictures.views", "false")
+        pictures = ("--outputs", "motion", "surface")
         self.code = main([*words, "--runtime.workers", "1", *pictures, *options])
         self.summary: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
         self.warnings: list[str] = self.summary["warnings"]

@@ -24,7 +24,7 @@ from polhode.run_directory.trajectory_file import trajectory_of, write_trajector
 from polhode.runtime.errors import InputError
 from polhode.runtime.progress import Progress
 
-NO_PICTURES = {"pictures.animation": False, "pictures.views": False}
+NO_PICTURES = {"outputs": ["motion", "surface"]}
 PAGE = Path(__file__).parents[2] / "docs" / "api.md"
 
 

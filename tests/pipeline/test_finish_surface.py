@@ -26,7 +26,7 @@ from polhode.run_directory.summary_schema import ShapeFindings
 from polhode.runtime.progress import Silent
 from tests.mapping.rendered_views import RIG, rendered, tumbling
 
-CONFIG = Config(mapping=Mapping(hole_share=0.08))
+CONFIG = Config(outputs=("levels",), mapping=Mapping(hole_share=0.08))
 BALL = trimesh.creation.icosphere(4, 0.08)
 Finished = tuple[SurfaceModel, list[DetailLevel], ShapeFindings]
 
@@ -112,7 +112,7 @@ def test_a_step_that_fails_costs_only_itself(
 def test_each_step_can_be_switched_off_and_an_empty_surface_stays_empty(
     opened: SurfaceModel, finished: Any
 ) -> None:
-    off = Config(mapping=Mapping(hole_share=0.0, divide_shading=False, levels=()))
+    off = Config(mapping=Mapping(hole_share=0.0, divide_shading=False))
     surface, levels, found = finished(opened, off)
     assert found.mesh is not None and not found.mesh.closed and levels == []
     assert found.mesh.colour == "intensity" and found.mesh.sun is None

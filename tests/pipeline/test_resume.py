@@ -1,5 +1,6 @@
 """Runs that are interrupted or killed and resumed: the same bytes, and nothing is computed twice."""
 
+import json
 import os
 import shutil
 import signal
@@ -75,7 +76,7 @@ def test_a_killed_run_resumes_to_the_same_bytes(run_at_rest: Path, at_rest: Path
 def test_another_configuration_computes_only_what_it_changes(
     run_at_rest: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    more = ("--mapping.levels", "0.5", "--runtime.stages", "while_running")
+    more = ("--outputs", "levels", "--mapping.levels", "0.5", "--runtime.stages", "while_running")
     assert main(words(at_rest, tmp_path / "new", *more, "--resume")) == 0
     assert "there is nothing to resume: all is computed" in capsys.readouterr().out
     # stages need not be kept
@@ -89,6 +90,26 @@ def test_another_configuration_computes_only_what_it_changes(
     assert contents(tmp_path) == contents(tmp_path / "new")
     assert contents(tmp_path)["R/mesh.ply"] == contents(run_at_rest)["R/mesh.ply"]
     assert contents(tmp_path)["R/summary.json"] != contents(run_at_rest)["R/summary.json"]
+
+
+def test_a_run_of_the_motion_alone_makes_neither_depth_nor_mesh_nor_pictures(
+    run_at_rest: Path, at_rest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    for name in ("build_surface.fuse", "write_results.track_pictures", "depth_maps.extract_depth"):
+        monkeypatch.setattr(f"polhode.pipeline.{name}", lambda *_: pytest.fail("not wanted"))
+    assert main(words(at_rest, tmp_path, "--outputs", "motion")) == 0
+    lines = capsys.readouterr().out.splitlines()
+    early = next(line for line in lines if line.endswith("; the verdict is pending"))
+    assert early.startswith("note: 6 of 6 frames: the target rotates at 0.00 RPM; k1 not determined")
+    assert lines[-2].startswith("6 of 6 frames: the target rotates at 0.00 RPM; k1 not determined")
+    found, whole = contents(tmp_path), contents(run_at_rest)
+    for file in ("trajectory.csv", "trajectory_online.csv", "covariance.npz", "landmarks.ply"):
+        assert found[f"R/{file}"] == whole[f"R/{file}"], file
+    made = {path.name for path in (tmp_path / "R").iterdir()}
+    assert {"report.html", "summary.json"} < made
+    assert made.isdisjoint({"mesh.ply", "mesh.glb", "occupancy.npz", "pictures"})
+    summary = json.loads((tmp_path / "R" / "summary.json").read_text())
+    assert any("outputs has no surface" in each for each in summary["warnings"])
 
 
 def test_a_run_of_another_sequence_or_a_stream_is_not_resumed(

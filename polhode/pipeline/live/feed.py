@@ -1,14 +1,15 @@
-"""Pairs at their pace, in a bounded queue: it says which ones it drops, always the oldest that wait.
+"""Pairs at their pace, in a bounded queue.
 
-A thread reads the source ahead of the estimate. A recorded sequence is replayed at a rate: its own speed is
-1, and 0 is as fast as it is processed, when nothing is dropped.
+A thread reads the source ahead of the estimate. Pairs of a folder that fills wait there, on the disk. A
+recorded sequence is replayed at a rate: its own speed is 1, at which it says which pairs it drops, always the
+oldest that wait; 0 is as fast as it is processed, when nothing is dropped.
 """
 
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from time import perf_counter
+from time import perf_counter, time
 
 from polhode.pipeline.live.folder_source import Passed, SourcePair
 
@@ -43,16 +44,18 @@ class Feed:
     def __init__(
         self, source: Callable[[Callable[[], bool]], Iterator[SourcePair | Passed]], rate: float | None
     ) -> None:
-        """source: its items until it is stopped; rate: of the replay, 0 as fast as it is processed, None:
-        pairs come when they come."""
+        """source: its items until it is stopped; rate: of the replay, 0 as fast as it is processed, None: a
+        folder that fills."""
         self._source, self._rate = source, rate
         self._waiting: deque[Item] = deque()
         self._changed = threading.Condition()
         self._stopped = self._ended = False
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._read, name="polhode-feed", daemon=True)
+        self._start = perf_counter()
 
     def __enter__(self) -> "Feed":
+        self._start = perf_counter()
         self._thread.start()
         return self
 
@@ -109,13 +112,19 @@ class Feed:
 
     def _put(self, item: SourcePair | Passed) -> None:
         with self._changed:
-            while self._rate == 0.0 and len(self._waiting) >= READ_AHEAD and not self._stopped:
+            while not self._rate and len(self._waiting) >= READ_AHEAD and not self._stopped:
                 self._changed.wait()
             if self._stopped:
                 return
-            self._waiting.append(item if isinstance(item, Passed) else Arrived(item, perf_counter()))
+            self._waiting.append(item if isinstance(item, Passed) else Arrived(item, self._came_at(item)))
             pairs = [(n, each) for n, each in enumerate(self._waiting) if isinstance(each, Arrived)]
-            if self._rate != 0.0 and len(pairs) > QUEUE_PAIRS:
+            if self._rate and len(pairs) > QUEUE_PAIRS:
                 n, oldest = pairs[0]
                 self._waiting[n] = Dropped(oldest.pair.stamps_ns[0])
             self._changed.notify_all()
+
+    def _came_at(self, pair: SourcePair) -> float:
+        """When a pair was there; what was before the start counts from the start."""
+        if self._rate is not None:
+            return perf_counter()
+        return max(perf_counter() - max(time() - pair.written_s, 0.0), self._start)

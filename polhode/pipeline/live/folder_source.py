@@ -44,6 +44,8 @@ class SourcePair:
     right: NDArray[Any]
     masks: tuple[Bools | None, Bools | None]
     X_NB: Array | None
+    written_s: float = 0.0
+    """When the later one of the images was written, by ``time.time``"""
 
 
 @dataclass(frozen=True)
@@ -153,19 +155,20 @@ class FolderSource:
         right_stamp, right_name = self._lists[1].rows[index]
         names = name, right_name
         try:
-            left, right = (
-                read_raw(self._mav0 / camera / "data" / file, *self.calibration.size_px(k))
-                for k, (camera, file) in enumerate(zip(CAMERAS, names, strict=True))
-            )
+            paths = [self._mav0 / each / "data" / file for each, file in zip(CAMERAS, names, strict=True)]
+            left, right = (read_raw(path, *self.calibration.size_px(k)) for k, path in enumerate(paths))
+            # a copy that keeps the time of the recording has a change of its own
+            written_s = max(path.stat().st_ctime for path in paths)
             X_NB = None if self._inspector is None else self._pose(stamp)
-        except (UnreadableImage, InputError) as error:
+        except (UnreadableImage, InputError, OSError) as error:
             # perhaps it is still being written
             if not final:
                 return None
             taken.add(index)
             return Passed(f"{stamp} ns ({error})")
         taken.add(index)
-        return SourcePair((stamp, right_stamp), names, left, right, self._masks(stamp, right_stamp), X_NB)
+        masks = self._masks(stamp, right_stamp)
+        return SourcePair((stamp, right_stamp), names, left, right, masks, X_NB, written_s)
 
     def _partner(self, number: int, taken: set[int]) -> int | None:
         """Row of the right camera with the nearest stamp, within a hundredth of the interval."""

@@ -27,7 +27,7 @@ from polhode.run_directory.run_folder import atomic_run_folder
 from polhode.runtime.errors import InputError
 from polhode.runtime.interrupts import interrupt_noted
 from polhode.runtime.processes import worker_count
-from polhode.runtime.progress import LiveProgress
+from polhode.runtime.progress import NOTE, LiveProgress
 from polhode.runtime.threads import single_threaded
 
 PATIENCE_S = 10.0
@@ -106,12 +106,13 @@ def run_live(
     each pair after its state, and must not take long. Raises InputError for a wrong source, RunFailure as
     ``run``.
     """
-    live = LiveReport()
+    live, start_s = LiveReport(), perf_counter()
     with atomic_run_folder(run_folder, overwrite, write_report, even_if_failed) as written:
         stream = Stream(config, source.calibration, source.camera_motion())
         with progress.stage("compiling", 1) as advance:
             warm_up_stream(stream.rectifier.rig, config)
             advance()
+        _log.log(NOTE, "ready for pairs after %.0f s", perf_counter() - start_s)
         recording = FileRecording(source.folder)
         try:
             loop = _Loop(stream, recording, source, live, watch, Arrivals(source.calibration.bits))

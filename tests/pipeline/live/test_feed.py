@@ -1,7 +1,7 @@
 """Pairs on their way: what becomes of late, repeated and missing ones, and the queue before the estimate."""
 
-from collections.abc import Callable, Iterator
-from time import sleep
+from collections.abc import Callable, Iterator, Sequence
+from time import perf_counter, sleep, time
 from typing import Any
 
 import numpy as np
@@ -37,12 +37,14 @@ def test_late_pairs_are_refused_and_gaps_named_in_a_sentence_that_counts(
     assert f"({NAMED + 3})" in line and line.endswith(f"{NAMED - 1} ns, ...")
 
 
-def source(count: int, broken: bool = False) -> Callable[[Callable[[], bool]], Items]:
+def source(
+    count: int, broken: bool = False, written_s: Sequence[float] = ()
+) -> Callable[[Callable[[], bool]], Items]:
     def pairs(stopped: Callable[[], bool]) -> Items:
-        for k in range(count):
+        for k, at_s in zip(range(count), written_s or [0.0] * count, strict=True):
             if stopped():
                 return
-            yield SourcePair((k * STEP_NS, k * STEP_NS), ("a", "b"), GREY, GREY, (None, None), None)
+            yield SourcePair((k * STEP_NS, k * STEP_NS), ("a", "b"), GREY, GREY, (None, None), None, at_s)
         if broken:
             raise InputError("data.csv line 2: no number")
 
@@ -70,8 +72,19 @@ def test_without_a_pace_nothing_is_dropped_and_a_replay_keeps_its_pace() -> None
     assert len(arrived) == 5 and arrived[-1].at - arrived[0].at >= 0.19
 
 
+def test_pairs_on_the_disk_wait_there_and_count_from_when_they_were_written_or_from_the_start() -> None:
+    written_s = [time() - 1000.0] * 20 + [time() + 0.2] * 10
+    with Feed(source(30, written_s=written_s), None) as feed:
+        start_s = perf_counter()
+        sleep(0.5)
+        numbers, dropped, arrived = drain(feed)
+    assert (numbers, dropped) == (list(range(30)), [])
+    assert all(abs(each.at - start_s) < 0.1 for each in arrived[:20])
+    assert all(0.1 < each.at - start_s < 0.3 for each in arrived[20:])
+
+
 def test_the_oldest_that_waits_is_dropped_and_named_stopping_ends_the_source_and_errors_arrive() -> None:
-    with Feed(source(QUEUE_PAIRS + 3), None) as feed:
+    with Feed(source(QUEUE_PAIRS + 3), 1e4) as feed:
         sleep(0.5)
         assert drain(feed)[:2] == (list(range(3, QUEUE_PAIRS + 3)), [0, 1, 2])
     with Feed(source(10_000), 1.0) as feed:

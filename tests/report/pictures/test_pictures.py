@@ -15,7 +15,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from polhode.config import Config, Pictures
+from polhode.config import Config
 from polhode.files.output.run_files import is_run_file
 from polhode.frontend.found_masks import FoundMasks, MaskQuality, encoded
 from polhode.frontend.rectification import Rectifier
@@ -88,10 +88,10 @@ def run(example: Any) -> Any:
     return seen
 
 
-def make(run: Any, folder: Path, config: Pictures, **changed: Any) -> set[str]:
+def make(run: Any, folder: Path, **changed: Any) -> set[str]:
     """Names of the pictures that come out."""
     given = {"estimate": run.estimate, "surface": run.surface} | changed
-    context = RunContext(run.sequence, run.rectifier, Config(pictures=config), Silent())
+    context = RunContext(run.sequence, run.rectifier, Config(), Silent())
     motion: Any = SimpleNamespace(tracks=run.tracks, estimate=given["estimate"])
     coloured: Any = SimpleNamespace(surface=given["surface"], sun_N=None)
     pictures.write_pictures.make(context, folder, motion, coloured)
@@ -192,10 +192,10 @@ def test_every_direction_is_a_right_handed_view_from_the_side_that_it_names(
 
 
 def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path) -> None:
-    names = make(run, tmp_path, Pictures())
+    names = make(run, tmp_path)
     place, again = tmp_path / "pictures", tmp_path / "again"
     again.mkdir()
-    make(run, again, Pictures())
+    make(run, again)
     for file in place.iterdir():
         assert file.read_bytes() == (again / "pictures" / file.name).read_bytes(), file.name
     stills = {f"model_{k:04d}.jpg" for k in (0, 1, 3, 4)}
@@ -222,13 +222,12 @@ def test_all_files_are_there_open_and_have_their_sizes(run: Any, tmp_path: Path)
     }  # fmt: skip
 
 
-def test_a_picture_that_is_switched_off_or_cannot_be_made_costs_only_itself(
+def test_a_picture_that_cannot_be_made_costs_only_itself(
     run: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "off").mkdir()
-    assert make(run, tmp_path / "off", Pictures(animation=False, views=False)) == {"captions.json"}
     nothing = replace(run.surface, mesh=EMPTY, sigma_m=np.zeros(0), views=np.zeros(0, dtype=np.int64))
-    assert make(run, tmp_path / "off", Pictures(), surface=nothing) == {"captions.json"}
+    assert make(run, tmp_path / "off", surface=nothing) == {"captions.json"}
     assert not caplog.records
 
     def fail(*_: Any) -> bytes:
@@ -237,7 +236,7 @@ def test_a_picture_that_is_switched_off_or_cannot_be_made_costs_only_itself(
     monkeypatch.setattr(pictures, "draw_mesh", fail)
     monkeypatch.setattr(pictures, "draw_frame", fail)
     with caplog.at_level(logging.WARNING):
-        assert make(run, tmp_path, Pictures()) == {"captions.json"}
+        assert make(run, tmp_path) == {"captions.json"}
     assert [record.getMessage() for record in caplog.records] == [
         "no picture: mesh.png (RuntimeError: no ink)",
         "no picture: model.mp4 (RuntimeError: no ink)",
@@ -262,7 +261,7 @@ def test_masks_that_were_found_are_shown_in_a_picture(run: Any, tmp_path: Path) 
     good = MaskQuality(area=0.1, agreement=0.98, contradicted=0.02, far_share=0.95)
     found = FoundMasks(masks, dict.fromkeys(range(FRAMES), good))
     masked = SimpleNamespace(**vars(run) | {"rectifier": replace(run.rectifier, found=found)})
-    assert "masks.jpg" in make(masked, tmp_path, Pictures(animation=False, views=False))
+    assert "masks.jpg" in make(masked, tmp_path)
     captions = json.loads((tmp_path / "pictures" / "captions.json").read_text())
     assert captions["masks.jpg"].endswith("5 of 5 frames. Doubtful (red): 0.")
     assert is_run_file("pictures/masks.jpg")
