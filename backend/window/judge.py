@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from polhode.backend.problem.iterate import N_POSE
 from polhode.backend.window.estimator_state import EstimatorState
@@ -20,10 +20,10 @@ from polhode.backend.window.frame import Frame
 from polhode.backend.window.innovation import NewPose, StepFit, new_pose
 from polhode.geometry.lie import Array
 
-AGREES, DOUBTED, USUAL = (float(chi2.isf(p, N_POSE)) for p in (1e-6, 1e-3, 0.5))
+AGREES, DOUBTED, USUAL = (float(chdtri(N_POSE, p)) for p in (1e-6, 1e-3, 0.5))
 """Squared innovations from which a frame contradicts the motion, and its step is left free; the median, from
 which it is left free too after one that was."""
-FITS = float(chi2.isf(1e-6, N_POSE - 1))
+FITS = float(chdtri(N_POSE - 1, 1e-6))
 """Largest squared innovation at the length of the step that fits best."""
 LARGEST_PUSH_RAD = 0.5
 """Turn that a push may cause within a step: after a larger one the rate is not known to first order."""
