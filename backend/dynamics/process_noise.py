@@ -6,13 +6,17 @@ in G with the attitude error on the right. The equation is integrated along the 
 """
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from scipy.linalg import LinAlgError
 
-from polhode.backend.dynamics.propagation import propagate_derivatives, propagate_rotations
-from polhode.geometry.lie import Array, matrix_from_wxyz
+from polhode.backend.dynamics.propagation import flow_derivatives, flows
+from polhode.geometry.lie import Array
+from polhode.runtime.compiled import compiled
 
 PART_RAD = 0.7
 """Largest rotation in a part of an interval: the variances are accurate to 1e-4."""
+ABSCISSAS, WEIGHTS = (0.5 * (each + shift) for each, shift in zip(leggauss(3), (1.0, 0.0), strict=True))
+"""Of Gauss's and Legendre's quadrature from 0 to 1"""
 
 
 def translation_covariance(dt_s: Array, accel_psd: float | Array) -> Array:
@@ -40,41 +44,60 @@ def rotation_covariance_scaled(
 
 def _integrated(w_G: Array, J_G: Array, dt_s: Array) -> Array:
     """Covariances (n, 6, 6) in theta / dt^1.5, w / dt^0.5 for a torque of unit strength."""
-    n = len(dt_s)
     # only a solution that diverges has larger ones; this rejects NaN too
     if not np.all(np.linalg.norm(w_G, axis=1) * dt_s < 1e4):
         raise LinAlgError("a rate beyond all bounds")
-    cov, w, done = np.zeros((n, 6, 6)), w_G.copy(), np.zeros(n)
-    left = np.arange(n)
-    abscissas, weights = np.polynomial.legendre.leggauss(3)
-    while len(left):
-        t, at, one = dt_s[left], w[left], np.ones(len(left), dtype=np.int64)
-        rest = 1.0 - done[left]
-        part = rest / np.maximum(1.0, np.ceil(rest * t * np.linalg.norm(at, axis=1) / PART_RAD))
-        F, w[left] = _transition(at, J_G, t, part)
-        cov[left] = F @ cov[left] @ np.swapaxes(F, 1, 2)
-        for node, weight in zip(0.5 * (abscissas + 1.0), 0.5 * weights, strict=True):
-            between = propagate_rotations(at, J_G, t * part * node, one)[1]
-            K = _transition(between, J_G, t, part * (1.0 - node))[0][:, :, 3:] @ np.linalg.inv(J_G)
-            cov[left] += weight * part[:, None, None] * (K @ np.swapaxes(K, 1, 2))
-        done[left] += part
-        left = left[done[left] < 1.0 - 1e-12]
+    J_inv = np.asarray(np.linalg.inv(J_G), dtype=np.float64)
+    cov = np.zeros((len(dt_s), 6, 6))
+    if not _integrate(w_G, J_G, J_inv, dt_s, cov):
+        raise LinAlgError("a rate beyond all bounds")
     return 0.5 * (cov + np.swapaxes(cov, 1, 2))
 
 
-def _transition(w_G: Array, J_G: Array, t: Array, part: Array) -> tuple[Array, Array]:
-    """Transition (n, 6, 6) of (theta / t, w) over a part (n,) of t (n,) seconds, and the rate after it."""
-    q, w_end, turn, rate = propagate_derivatives(
-        w_G, J_G, np.zeros((0, 3, 3)), t * part, np.ones(len(t), dtype=np.int64)
-    )
-    # a series that diverges gives no unit quaternion, or NaN
-    if not np.all(np.abs(np.linalg.norm(q, axis=1) - 1.0) < 1e-6):
-        raise LinAlgError("a rate beyond all bounds")
-    F = np.zeros((len(t), 6, 6))
-    F[:, :3, :3] = np.swapaxes(matrix_from_wxyz(q), 1, 2)
-    F[:, :3, 3:] = np.swapaxes(turn, 1, 2) / t[:, None, None]
-    F[:, 3:, 3:] = np.swapaxes(rate, 1, 2)
-    return F, w_end
+@compiled
+def _integrate(w_G: Array, J: Array, J_inv: Array, dt_s: Array, cov: Array) -> bool:
+    """Fill the covariances (n, 6, 6), which are 0 before; whether all series converge."""
+    F, K, strength = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 3))
+    for n in range(len(dt_s)):
+        w, t, done = w_G[n : n + 1].copy(), dt_s[n], 0.0
+        while done < 1.0 - 1e-12:
+            rest, rate = 1.0 - done, np.sqrt(np.sum(w**2))
+            part = rest / max(1.0, np.ceil(rest * t * rate / PART_RAD))
+            after = _transition(w, J, J_inv, t, part, F)
+            if len(after) == 0:
+                return False
+            cov[n] = F @ cov[n] @ F.T
+            for node in range(len(ABSCISSAS)):
+                at = np.array([t * part * ABSCISSAS[node]])
+                between = flows(w, J, J_inv, at, np.zeros((1, 0, 2, 3)), np.ones(1, dtype=np.int64))[1]
+                if len(_transition(between, J, J_inv, t, part * (1.0 - ABSCISSAS[node]), K)) == 0:
+                    return False
+                strength[:] = np.ascontiguousarray(K[:, 3:]) @ J_inv
+                cov[n] += WEIGHTS[node] * part * (strength @ strength.T)
+            w = after
+            done += part
+    return True
+
+
+@compiled
+def _transition(w_G: Array, J: Array, J_inv: Array, t: float, part: float, F: Array) -> Array:
+    """Fill the transition (6, 6) of (theta / t, w) over a part of t seconds; the rate (1, 3) after it.
+
+    Empty where the series diverges: it gives no unit quaternion, or NaN.
+    """
+    once, none, unknown = np.ones(1, dtype=np.int64), np.zeros((1, 0, 2, 3)), np.zeros((1, 0, 3, 2, 3))
+    of_inertia, seconds = np.zeros((3, 3, 3)), np.array([t * part])
+    q, w_end, turn, rate = flow_derivatives(w_G, J, J_inv, of_inertia, seconds, none, unknown, once)
+    a, b, c, d = q[0]
+    if not abs(np.sqrt(a * a + b * b + c * c + d * d) - 1.0) < 1e-6:
+        return w_end[:0]
+    # the rotation back
+    F[0, 0], F[0, 1], F[0, 2] = 1.0 - 2.0 * (c * c + d * d), 2.0 * (b * c + a * d), 2.0 * (b * d - a * c)
+    F[1, 0], F[1, 1], F[1, 2] = 2.0 * (b * c - a * d), 1.0 - 2.0 * (b * b + d * d), 2.0 * (c * d + a * b)
+    F[2, 0], F[2, 1], F[2, 2] = 2.0 * (b * d + a * c), 2.0 * (c * d - a * b), 1.0 - 2.0 * (b * b + c * c)
+    F[:3, 3:] = turn[0].T / t
+    F[3:, 3:] = rate[0].T
+    return w_end
 
 
 def whitening(

@@ -78,9 +78,10 @@ def _remainder(terms: Array) -> float:
 
 
 @compiled
-def _flows(
+def flows(
     w_G: Array, J: Array, J_inv: Array, dt_s: Array, torque: Array, steps: Ints
 ) -> tuple[Array, Array, Array, Array]:
+    """``propagate_rotations`` for compiled functions; a torque of shape (n, 0, 2, 3) is none."""
     n = len(dt_s)
     out_q, out_w, error_q, error_w = np.zeros((n, 4)), w_G.copy(), np.zeros(n), np.zeros(n)
     q, w, momentum = np.empty((ORDER + 1, 4)), np.empty((ORDER + 1, 3)), np.empty((ORDER + 1, 3))
@@ -146,9 +147,10 @@ def _series_derivatives(
 
 
 @compiled
-def _flow_derivatives(
+def flow_derivatives(
     w_G: Array, J: Array, J_inv: Array, dJ: Array, dt_s: Array, torque: Array, dtorque: Array, steps: Ints
 ) -> tuple[Array, Array, Array, Array]:
+    """``propagate_derivatives`` for compiled functions: dJ and dtorque have those in w_G, too."""
     n, m, p = len(dt_s), len(dJ), ORDER + 1
     out_q, out_w = np.zeros((n, 4)), w_G.copy()
     out_turn, out_rate = np.zeros((n, m, 3)), np.zeros((n, m, 3))
@@ -193,7 +195,7 @@ def propagate_rotations(
     J = np.ascontiguousarray(J_G, dtype=np.float64)
     J_inv = np.asarray(np.linalg.inv(J), dtype=np.float64)
     torque = np.zeros((len(dt_s), 0, 2, 3)) if torque is None else torque
-    return _flows(np.ascontiguousarray(w_G), J, J_inv, dt_s, torque, steps)
+    return flows(np.ascontiguousarray(w_G), J, J_inv, dt_s, torque, steps)
 
 
 def propagate_derivatives(
@@ -219,7 +221,7 @@ def propagate_derivatives(
         of_torque = np.concatenate([np.zeros((*dtorque.shape[:2], 3, 2, 3)), dtorque], axis=2)
     dJ = np.concatenate([np.zeros((3, 3, 3)), dJ])
     w = np.ascontiguousarray(w_G)
-    return _flow_derivatives(w, J, J_inv, dJ, dt_s, torque, of_torque, steps)
+    return flow_derivatives(w, J, J_inv, dJ, dt_s, torque, of_torque, steps)
 
 
 def series_steps(w_G: Array, J_G: Array, dt_s: Array, torque_psd: float | Array) -> Ints:

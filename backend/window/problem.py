@@ -290,33 +290,36 @@ TOLERANCE = 1e-3
 STATIONARY_COST_CHANGE = 1e-4
 """Negligible change of the cost; the iterations end after three of them in a row."""
 MAX_ITERATIONS = 40
+MOST_SERIES = 8
+"""In a step: the time of an iteration grows with them, to seconds of all at 64, as of a wrong rate."""
 
 
 class IpoptSolver:
-    """Solver of ``WindowProblem``; a new program is built only when the steps need longer series."""
+    """Solver of ``WindowProblem``, with a program for each number of series that steps have needed."""
 
     name = "ipopt"
 
     def __init__(self, n_frames: int) -> None:
         """n_frames: the largest number of states of a problem."""
         self.n_frames, self.size = n_frames, N_STATE * n_frames + N_CONSTANTS
-        self._series = 0
-        self._program: Any = None
+        self._programs = dict[int, Any]()
 
     def solve(self, problem: WindowProblem, x: Array) -> Solution:
-        """Minimize from x (12 W + 8,)."""
+        """Minimize from x (12 W + 8,); not where steps need so many series that the next pairs would wait."""
         series = int(problem.steps.series.max(initial=1))
-        if self._program is None or series > self._series:
-            self._series = series
-            self._program = self._build(problem.prior.form, series)
+        if series > MOST_SERIES:
+            return Solution(x, problem.cost(x), 0, False, f"{series} series in a step")
+        if series not in self._programs:
+            self._programs[series] = self._build(problem.prior.form, series)
+        program = self._programs[series]
         states, constants = np.arange(N_STATE * problem.n_frames), np.arange(self.size)[-N_CONSTANTS:]
         at = np.concatenate([states, constants])
         before, H, _ = problem.normal_equations(x)
         size = np.ones(self.size)
         # the scale is limited for weakly determined unknowns: 1 m, 1 rad and ratios of 1 are large enough
         size[at] = 1.0 / np.sqrt(np.maximum(np.diagonal(H), 1.0))
-        result = self._program(x0=0.0, p=self._parameters(problem, x, at, size))
-        stats = self._program.stats()
+        result = program(x0=0.0, p=self._parameters(problem, x, at, size))
+        stats = program.stats()
         status = str(stats["return_status"])
         found = x + (size * np.asarray(result["x"]).ravel())[at]
         # evaluated by the reference implementation: a step that diverges is not taken
