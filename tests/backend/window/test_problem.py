@@ -9,6 +9,7 @@ from polhode.backend.dynamics.residuals import add_steps, dynamics_residuals
 from polhode.backend.problem.inertia import FORMS, inertia_from_second_moments
 from polhode.backend.problem.iterate import N_STATE
 from polhode.backend.window.problem import (
+    MOST_SERIES,
     DisturbanceLevels,
     IpoptSolver,
     Quadratic,
@@ -127,6 +128,15 @@ def test_same_optimum_as_gauss_newton(tumble: SyntheticSequence, feed: Feed, pla
     assert found.converged
     assert found.cost == pytest.approx(best.cost, abs=1e-3)
     assert np.sqrt(apart @ H @ apart) < 0.05  # standard deviations
+
+
+def test_steps_of_too_many_series_are_left_to_gauss_newton(solved: tuple[WindowProblem, Array]) -> None:
+    problem, x = solved
+    series = np.full_like(problem.steps.series, MOST_SERIES + 1)
+    many = replace(problem, steps=replace(problem.steps, series=series))
+    found = IpoptSolver(14).solve(many, x)
+    assert not found.converged and found.iterations == 0 and "9 series" in found.message
+    np.testing.assert_array_equal(found.x, x)
 
 
 def test_an_optimum_far_from_gauss_newtons_is_not_the_windows(tumble: SyntheticSequence, feed: Feed) -> None:
