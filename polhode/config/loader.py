@@ -78,6 +78,24 @@ def load_config(
     return _config_of(layered)
 
 
+def load_stored_config(path: Path) -> Config:
+    """The configuration that a run has stored; keys that this version has no more are left out.
+
+    Raises InputError as ``load_config`` for all else.
+    """
+    layered, unknown = _of_files(path), list[config_keys.Path]()
+    try:
+        Config.model_validate(layered.values)
+    except ValidationError as error:
+        unknown = [tuple(each["loc"]) for each in error.errors() if each["type"] == "extra_forbidden"]
+    for *sections, name in unknown:
+        holder: Any = layered.values
+        for each in sections:
+            holder = holder[each]
+        del holder[name]
+    return _config_of(layered)
+
+
 def read_settings(path: Path) -> dict[str, Any]:
     """What ``path`` and the files that it extends set, unchecked. Raises InputError."""
     return _of_files(path).values

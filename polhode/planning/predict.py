@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from polhode.backend.problem.inertia import FORMS, inertia_by_parameters
-from polhode.config.loader import load_config
+from polhode.config.loader import load_stored_config
 from polhode.files.output.single_file import make_parent, output_file
 from polhode.geometry.lie import Array, Bools, Ints, continuous_wxyz, wxyz_from_matrix
 from polhode.planning.prediction import (
@@ -201,7 +201,7 @@ def last_body(run_folder: Path) -> tuple[FinalState, Summary]:
         raise InputError(f"{run_folder / 'covariance.npz'}: the array last_body is missing; run it again")
     table, R_GP = read_trajectory(run_folder), np.array(summary.R_GP)
     require_same_frames(run_folder, table, stored.timestamps_ns, "covariance.npz")
-    form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
+    form = FORMS[load_stored_config(run_folder / "config.yaml").backend.inertia]
     J, by_parameters = inertia_by_parameters(np.array(summary.inertia.J_G), form)
     known = summary.identifiable
     past: tuple[Array, ...] = ()
@@ -250,7 +250,7 @@ def final_estimates(run: Path) -> tuple[FinalEstimate, ...]:
     noise, com_G = summary.noise, np.array(summary.com_G)
     decades = noise.accel_psd_decades or 0.0, noise.torque_psd_decades or 0.0
     found = [FinalEstimate(last, com_G, noise.accel_psd, noise.torque_psd, com_range_G, decades)]
-    form = FORMS[load_config(run / "config.yaml").backend.inertia]
+    form = FORMS[load_stored_config(run / "config.yaml").backend.inertia]
     for each in read_hypotheses(run)[1:]:
         J, by_parameters = inertia_by_parameters(each.J_G, form)
         end = FinalState(

@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from polhode.backend.problem.inertia import FORMS, InertiaForm, unit_determinant
-from polhode.config.loader import load_config
+from polhode.config.loader import load_stored_config
 from polhode.geometry import fisheye
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, log_so3, make_pose, transform_points
 from polhode.geometry.rigid_body import HALF_TURN_NAMES, HALF_TURNS, propagate
@@ -94,7 +94,7 @@ def evaluate(run_folder: Path, sequence_folder: Path) -> Metrics:
         "error_k1": inertia.k1 - truth.k1,
         "error_k2": inertia.k2 - truth.k2,
     }
-    form = FORMS[load_config(run_folder / "config.yaml").backend.inertia]
+    form = FORMS[load_stored_config(run_folder / "config.yaml").backend.inertia]
     J_true = R_GP_true @ np.diag(truth.moments) @ R_GP_true.T
     between = R_GP.T @ R_GP_true
     nearest = HALF_TURNS[int(np.argmax(HALF_TURNS @ np.diag(between)))]

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from polhode.config import Config, Scene
-from polhode.config.loader import dump_config, load_config
+from polhode.config.loader import dump_config, load_config, load_stored_config
 from polhode.runtime.errors import InputError
 
 BILLION = "a0: &a0 [x, x]\n" + "".join(
@@ -112,7 +112,10 @@ BAD_FILES: dict[str, tuple[str, str]] = {
         "backend: {inerta: ratios_axes}",
         "unknown key 'backend.inerta'; did you mean inertia? valid keys: inertia, ",
     ),
-    "unknown section": ("bakend: {}", "unknown key 'bakend'; did you mean backend? valid keys: seed, scene,"),
+    "unknown section": (
+        "bakend: {}",
+        "unknown key 'bakend'; did you mean backend? valid keys: seed, outputs, ",
+    ),
     "unknown deep key": ("scene: {body: {colour: red}}", "unknown key 'scene.body.colour'"),
     "number as key": ("1: 2", "unknown key '1'"),
     "unknown choice": (
@@ -182,3 +185,15 @@ def test_a_part_of_the_configuration_is_written_and_read_back_alone() -> None:
     text = dump_config(config, keys=("seed", "scene"))
     assert set(yaml.safe_load(text)) == {"seed", "scene"}
     assert Config.model_validate(yaml.safe_load(text)) == config
+
+
+def test_keys_that_an_earlier_version_stored_are_left_out_of_a_runs_configuration(tmp_path: Path) -> None:
+    file = tmp_path / "config.yaml"
+    file.write_text("seed: 3\npictures: {views: false, frames: 5}\nbackend: {inertia: ratios_axes, old: 1}\n")
+    config = load_stored_config(file)
+    assert (config.seed, config.pictures.frames, config.backend.inertia) == (3, 5, "ratios_axes")
+    with pytest.raises(InputError, match="unknown key 'backend.old'"):
+        load_config(file)
+    file.write_text("seed: red")
+    with pytest.raises(InputError, match="seed"):
+        load_stored_config(file)

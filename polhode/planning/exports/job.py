@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from polhode.config.loader import load_config
+from polhode.config.loader import load_stored_config
 from polhode.config.mapping_settings import Mapping
 from polhode.geometry.lie import Array, Bools, Ints, inverse_pose, make_pose, transform_points
 from polhode.mapping.finishing.detail_levels import levels_of
@@ -169,7 +169,7 @@ class ExportJob:
         if self.surface is None:
             return None
         try:
-            shares = load_config(self.folder / "config.yaml").mapping.levels
+            shares = load_stored_config(self.folder / "config.yaml").mapping.levels
         except InputError:
             # a run that failed early, or of another version
             shares = Mapping().levels

@@ -282,9 +282,10 @@ def sweep(
             for k in range(nz):
                 cell = fields[i, j, k]
                 x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
-                t = -1
-                while t < T and cell[0] > -DEEP_CELLS * step:
-                    at = hint if t < 0 else t
+                t = T
+                # backwards, as what has grown most lowers most: no earlier sigma is larger
+                while t >= 0 and cell[0] > -DEEP_CELLS * step:
+                    at = hint if t == T else t
                     a, b, c = x - centre[at, 0], y - centre[at, 1], z - centre[at, 2]
                     away = np.sqrt(a * a + b * b + c * c)
                     # by the sphere first, as that costs least
@@ -305,13 +306,9 @@ def sweep(
                     gap += tolerance
                     steps = 1
                     if gap > speed:
-                        ahead = min(t + int(gap / speed), T - 1)
-                        grown = across[ahead] - across[at]
-                        if lever > 0.0:
-                            grown = shift[ahead] - shift[at] + lever * (turn[ahead] - turn[at])
-                            grown += 2.0 * gap * turn[ahead]
+                        grown = 2.0 * gap * turn[at] if lever > 0.0 else 0.0
                         steps = max(1, int(SLOWER * (gap - factors[C - 1] * grown) / speed))
-                    t = 0 if t < 0 else t + steps
+                    t = T - 1 if t == T else t - steps
 
 
 @compiled_ieee

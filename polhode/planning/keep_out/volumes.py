@@ -66,6 +66,8 @@ BAND_SIGMAS = 3.0
 PARTS_OF_HORIZON = 6
 """Errors change slowly: of the points in a cell, one represents the others in each part of the horizon."""
 BORDER_CELLS = 4.0
+FAR_CELLS = 2.0
+"""Beyond what may be added, as far as distances are known: what is farther costs as much and tells nothing"""
 COARSE = 2.0
 """Edge of the cells on which c is chosen, over that of the others"""
 MAX_CELLS = 20_000_000
@@ -211,7 +213,7 @@ class _Sweep:
         fine = fine_times(self.motion, body.radius_m, allowed_m, self.horizon_s)
         at = np.clip(np.searchsorted(self.motion.time_s, fine), 0, len(self.motion.time_s) - 1)
         states, grid = nominal_motion(self.estimate, fine), body.grid
-        fields = np.full((*shape, len(factors)), more_m + BORDER_CELLS * self.step_m, dtype=np.float32)
+        fields = np.full((*shape, len(factors)), more_m + FAR_CELLS * self.step_m, dtype=np.float32)
         sweep(
             fields, origin, self.step_m, factors, states.R_NG, states.p_NG, self.P[at],
             grid.values, grid.origin, grid.step_m, self.estimate.com_G, _radius_m(body, self.estimate),
