@@ -6,13 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from polhode.pipeline.find_motion import MotionSolution
 from polhode.pipeline.finish_surface import Coloured
 from polhode.pipeline.runner import Result, Runner
 from polhode.records.estimate import MotionEstimate
 from polhode.report import finish_run
+from polhode.report.tables import motion_sentence
 from polhode.run_directory.run_folder import RunFolder
 from polhode.run_directory.summary import build_summary
 from polhode.run_directory.summary_schema import Check, Intervals, ShapeFindings, Summary
@@ -62,20 +61,3 @@ def _result_of(summary: Summary, estimate: MotionEstimate, written: RunFolder) -
     failure = summary.warnings[0] if summary.status == "failed" else None
     place = report if report.is_file() else written.published
     return RunResult(summary.status, place, sentence, failure, written.note)
-
-
-def motion_sentence(estimate: MotionEstimate, frames_used: int, bounded: Intervals | None = None) -> str:
-    """The motion in a sentence; bounded: of what it does not determine, where that is known already."""
-    rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
-    mass, ratios = estimate.mass, []
-    for n, name in enumerate(("k1", "k2")):
-        if getattr(mass.identifiable, name):
-            ratios.append(f"{name} {getattr(mass, name):.4f} +- {np.sqrt(mass.cov_k[n, n]):.4f}")
-            continue
-        ratios.append(f"{name} not determined by this motion")
-        if bounded is not None and (interval := getattr(bounded, name)) is not None:
-            ratios[-1] += f" (from {interval[0]:.2f} to {interval[1]:.2f} is possible)"
-    return (
-        f"{frames_used} of {len(estimate.X_NG)} frames: the target rotates at {rate_rpm:.2f} RPM; "
-        f"{', '.join(ratios)}; {len(estimate.landmarks.p_G)} landmarks"
-    )

@@ -19,7 +19,6 @@ from polhode.pipeline.context import RunContext
 from polhode.pipeline.correspondences import Correspondences
 from polhode.pipeline.find_motion import Attempt, MotionSolution
 from polhode.pipeline.finish_surface import Coloured, Sentences
-from polhode.pipeline.run_result import motion_sentence
 from polhode.pipeline.runner import stage
 from polhode.records.dataset import StereoSequence
 from polhode.records.estimate import MotionEstimate, OnlineEstimate
@@ -35,6 +34,7 @@ from polhode.report.pictures.model_comparison import (
     draw_frame,
     film,
 )
+from polhode.report.tables import motion_sentence
 from polhode.run_directory import outputs
 from polhode.run_directory.archives import write_measurements
 from polhode.run_directory.archives import write_occupancy as write_grid

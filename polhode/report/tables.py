@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from polhode.geometry.lie import Array
+from polhode.records.estimate import MotionEstimate
 from polhode.records.metrics import ALIGNED, IN_INTERVAL, expected_range
 from polhode.run_directory.stored_run import StoredRun
 from polhode.run_directory.summary_schema import SAME_MINIMUM, Assumed, Intervals, Rotation, Summary
@@ -446,3 +447,20 @@ def mesh_sentences(summary: Summary) -> list[str]:
     """What was not seen, and the mass distribution compared with the volume."""
     sentences = [] if summary.coverage is None else [summary.coverage.words]
     return [*sentences, *(summary.physics.words if summary.physics is not None else ())]
+
+
+def motion_sentence(estimate: MotionEstimate, frames_used: int, bounded: Intervals | None = None) -> str:
+    """The motion in a sentence; bounded: of what it does not determine, where that is known already."""
+    rate_rpm = float(np.median(np.linalg.norm(estimate.w_P, axis=1))) * 30.0 / np.pi
+    mass, ratios = estimate.mass, []
+    for n, name in enumerate(("k1", "k2")):
+        if getattr(mass.identifiable, name):
+            ratios.append(f"{name} {getattr(mass, name):.4f} +- {np.sqrt(mass.cov_k[n, n]):.4f}")
+            continue
+        ratios.append(f"{name} not determined by this motion")
+        if bounded is not None and (interval := getattr(bounded, name)) is not None:
+            ratios[-1] += f" (from {interval[0]:.2f} to {interval[1]:.2f} is possible)"
+    return (
+        f"{frames_used} of {len(estimate.X_NG)} frames: the target rotates at {rate_rpm:.2f} RPM; "
+        f"{', '.join(ratios)}; {len(estimate.landmarks.p_G)} landmarks"
+    )
