@@ -15,7 +15,7 @@ from polhode.runtime.compiled import compiled
 
 PART_RAD = 0.7
 """Largest rotation in a part of an interval: the variances are accurate to 1e-4."""
-ABSCISSAS, WEIGHTS = (0.5 * (each + shift) for each, shift in zip(leggauss(3), (1.0, 0.0), strict=True))
+ABSCISSAS, WEIGHTS = 0.5 * (leggauss(3)[0] + 1.0), 0.5 * leggauss(3)[1]
 """Of Gauss's and Legendre's quadrature from 0 to 1"""
 
 

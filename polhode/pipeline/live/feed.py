@@ -55,7 +55,6 @@ class Feed:
         self._start = perf_counter()
 
     def __enter__(self) -> "Feed":
-        self._start = perf_counter()
         self._thread.start()
         return self
 

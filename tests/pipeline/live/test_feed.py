@@ -1,7 +1,7 @@
 """Pairs on their way: what becomes of late, repeated and missing ones, and the queue before the estimate."""
 
 from collections.abc import Callable, Iterator, Sequence
-from time import perf_counter, sleep, time
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -72,15 +72,19 @@ def test_without_a_pace_nothing_is_dropped_and_a_replay_keeps_its_pace() -> None
     assert len(arrived) == 5 and arrived[-1].at - arrived[0].at >= 0.19
 
 
-def test_pairs_on_the_disk_wait_there_and_count_from_when_they_were_written_or_from_the_start() -> None:
-    written_s = [time() - 1000.0] * 20 + [time() + 0.2] * 10
-    with Feed(source(30, written_s=written_s), None) as feed:
-        start_s = perf_counter()
-        sleep(0.5)
+def test_pairs_on_the_disk_wait_there_and_count_from_when_they_were_written_or_from_the_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock_s = [50.0]
+    monkeypatch.setattr("polhode.pipeline.live.feed.perf_counter", lambda: clock_s[0])
+    monkeypatch.setattr("polhode.pipeline.live.feed.time", lambda: 1000.0)
+    # long before the start, a second ago, and by a clock that is ahead
+    feed = Feed(source(30, written_s=[0.0] * 10 + [999.0] * 10 + [1001.0] * 10), None)
+    clock_s[0] = 100.0
+    with feed:
         numbers, dropped, arrived = drain(feed)
     assert (numbers, dropped) == (list(range(30)), [])
-    assert all(abs(each.at - start_s) < 0.1 for each in arrived[:20])
-    assert all(0.1 < each.at - start_s < 0.3 for each in arrived[20:])
+    assert [each.at for each in arrived] == [50.0] * 10 + [99.0] * 10 + [100.0] * 10
 
 
 def test_the_oldest_that_waits_is_dropped_and_named_stopping_ends_the_source_and_errors_arrive() -> None:
