@@ -9,18 +9,19 @@ frame says of each cell of a grid in G one of three things:
     nothing   it lies behind the surface, in the model's shadow, or within the blur of an edge
 
 A cell is *outlined* where frames agree that it is shown, as a boom is from all sides (shape from
-silhouettes: Laurentini, IEEE PAMI 16, 1994). As matter may face away from the Sun, and antennas glint in few
-frames, a share of the frames is enough; of the cells on one ray those count that most frames agree on, and of
-these the ones that are not much farther from the surface than others, as a body is in one piece. Cells are
-larger than antennas: one is shown where any pixel that it covers shows matter, and before the sky where all
-are sky. It is *possible* where no two frames say that it is free and the convex hull of surface and outlined
-cells contains it: dark sides, holes of the mesh, concavities (space carving: Kutulakos and Seitz, Int. J.
-Computer Vision 38, 2000). It is *empty* where two frames show the sky although the Sun reaches it: however
-uncertain, the surface is not there.
+silhouettes: Laurentini, IEEE PAMI 16, 1994). As antennas glint in few frames, a share of them is enough. The
+dark side of a panel looks like the sky: of some normal of a plate, those frames count that would see its lit
+side. Of the cells on one ray those count that most frames agree on, and of these the ones that are not much
+farther from the surface than others, as a body is in one piece. Cells are larger than antennas: one is shown
+where any pixel that it covers shows matter, and before the sky where all are sky. It is *possible* where no
+two frames say that it is free and the convex hull of surface and outlined cells contains it: dark sides,
+holes of the mesh, concavities (space carving: Kutulakos and Seitz, Int. J. Computer Vision 38, 2000). It is
+*empty* where two frames show the sky although the Sun reaches it: however uncertain, no surface is there.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,13 +32,14 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from polhode.geometry.camera import RectifiedRig
 from polhode.geometry.lie import Array, Bools, Ints
-from polhode.mapping.visibility import FrameView, MeshViewer, directions, sun_in_G
+from polhode.mapping.visibility import MIN_COSINE, FrameView, MeshViewer, directions, sun_in_G
 from polhode.records.occupancy import EMPTY, FREE, OUTLINED, POSSIBLE, Occupancy
 from polhode.records.surface import DepthMap
 from polhode.runtime.compiled import compiled_ieee
 
 Floats = NDArray[np.float32]
-Counts = NDArray[np.uint16]
+Frames = NDArray[np.uint64]
+"""Sets of frames, a bit for each"""
 
 LEAST_CELLS_ALONG, MOST_CELLS_ALONG = 24, 80
 """A side of the grid; between them a cell is as large as a pixel of the frame that was nearest"""
@@ -54,22 +56,24 @@ LEAST_SHOWN = 2
 """Frames that make a cell outlined; as many exclude it"""
 SHARE_SHOWN = 0.3
 """Of the frames that say something, those that show an outlined cell"""
+PLATES = 100
+"""Normals of plates whose dark side may be what looks like the sky"""
+LEAST_OF_PLATE, SHARE_OF_PLATE, MOST_OF_PLATE = 3, 0.8, 0.8
+"""Frames that show the lit side of such a plate, their share of those that say something of it and would see
+it in light, and of all that show the cell"""
 SHARE_OF_RAY = 0.6
 """Of the largest such share on a ray, that of the cells which may be what the pixel shows"""
 NEAREST_OF_RAY, MORE_CELLS = 2.0, 8.0
 """Distance from the surface up to which such cells count, over that of the nearest, and cells beyond that"""
 MOST_FRAMES = 0.5
 """Of the frames that show a cell, those in which it counts"""
-LEAST_SPREAD = 0.08
-"""One minus the mean of the directions from which a cell is shown: 23 degrees about their mean"""
-DIRECTIONS, WITHIN_SHARE = 300, 0.15
 LEAST_LIT = 0.25
 """Share of the visible model that must be in light where the sky is to tell that nothing is there"""
 PASSES, SETTLED = 10, 0.01
 """Over all frames, at most; and the share of the open cells below which one has closed too few for another"""
 SHADOW_PX, SHADOW_CELLS = 160, 1.5
-LEAST_CELLS, ATTACHED_CELLS = 8, 2.0
-"""Of a piece of outlined cells; and its distance from the surface, unless rays tell where it is"""
+LEAST_CELLS = 8
+"""Of a piece of outlined cells"""
 SKY, TARGET, NOTHING, BEFORE = 0, 1, 2, 3
 """What a pixel shows"""
 
@@ -96,10 +100,10 @@ def occupancy_of(
     surface = np.zeros((grid.cells,) * 3, dtype=np.bool_)
     surface[tuple(np.rint((vertices - grid.origin_G) / grid.step_m).astype(int).T)] = True
     thin = grid.centres(np.argwhere(surface))
-    outlined = _outlined(grid, pictures, thin)
+    suns_G = [np.zeros(3) if sun_N is None else sun_in_G(view, sun_N) for view in views]
+    outlined = _outlined(grid, pictures, _lit_and_seen(grid.middle_G, pictures, suns_G), thin)
     state = np.where(outlined, np.uint8(OUTLINED), np.uint8(FREE))
     cell = _inside_hull(np.concatenate([thin, grid.centres(np.argwhere(outlined))]), grid)
-    suns_G = [np.zeros(3) if sun_N is None else sun_in_G(view, sun_N) for view in views]
     left = cell[_stay_open(cell, grid, pictures, suns_G, thin, True)]
     possible = left[state[tuple(left.T)] == FREE]
     state[tuple(possible.T)] = POSSIBLE
@@ -129,26 +133,37 @@ class _Grid:
         return np.asarray(self.origin_G + self.step_m * cell)
 
 
-def _outlined(grid: _Grid, pictures: Sequence["_Picture"], surface_G: Array) -> Bools:
-    """The cells that several frames show beside the surface (n, 3)."""
+def _outlined(grid: _Grid, pictures: Sequence["_Picture"], lit: Frames, surface_G: Array) -> Bools:
+    """The cells that several frames show beside the surface (n, 3); lit (m,): as ``_lit_and_seen``."""
     shape = (grid.cells, grid.cells, grid.cells)
-    shown, free = (np.zeros(shape, dtype=np.uint16) for _ in range(2))
-    from_ = np.zeros((*shape, 3), dtype=np.float32)
-    for picture in pictures:
-        _count(shown, free, from_, grid.origin_G, grid.step_m, picture.eye_G, *picture.parts)
-    share = (shown / np.maximum(shown + free, 1)).astype(np.float32)
-    outlined = (shown >= LEAST_SHOWN) & (share >= SHARE_SHOWN)
-    places_G = grid.centres(np.argwhere(outlined))
-    away_m = cKDTree(surface_G).query(places_G)[0]
-    outlined[outlined] = _explains(places_G, share[outlined], away_m, grid.step_m, pictures)
-    places_G = grid.centres(np.argwhere(outlined))
-    located, between = _located(places_G, from_[outlined], shown[outlined], surface_G)
-    attached = located | (cKDTree(surface_G).query(places_G)[0] <= ATTACHED_CELLS * grid.step_m)
-    outlined[outlined], attached = located | between, attached[located | between]
-    pieces = label(outlined, np.ones((3, 3, 3)))[0][outlined]
-    of_piece = (np.bincount(pieces) >= LEAST_CELLS) & (np.bincount(pieces, attached) > 0)
-    outlined[outlined] = of_piece[pieces]
+    shown_in, sky_in, before_in = (np.zeros(shape, dtype=np.uint64) for _ in range(3))
+    for n, picture in enumerate(pictures):
+        bit = np.uint64(1) << np.uint64(n)
+        _add_frame(shown_in, sky_in, before_in, bit, grid.origin_G, grid.step_m, *picture.parts)
+    tree, outlined = cKDTree(surface_G), np.zeros(shape, dtype=np.bool_)
+    for shares in _shares(shown_in.reshape(-1), sky_in.reshape(-1), before_in.reshape(-1), lit):
+        share = shares.reshape(shape)
+        cells = np.argwhere(share >= SHARE_SHOWN)
+        places_G = grid.centres(cells)
+        explains = _explains(places_G, share[tuple(cells.T)], tree.query(places_G)[0], grid.step_m, pictures)
+        outlined[tuple(cells[explains].T)] = True
+    pieces = label(outlined, np.ones((3, 3, 3)))[0]
+    outlined &= (np.bincount(pieces.reshape(-1)) >= LEAST_CELLS)[pieces]
     return np.asarray(outlined)
+
+
+def _lit_and_seen(middle_G: Array, pictures: Sequence["_Picture"], suns_G: Sequence[Array]) -> Frames:
+    """(m,) for normals in all directions, the frames that see the side of such a plate that is in light.
+
+    The others see its dark side, which is like the sky. None where the Sun's direction (3,) is zero: unknown.
+    """
+    towards = np.array([picture.eye_G - middle_G for picture in pictures])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    normal = directions(PLATES)
+    seen, lit = towards @ normal.T, np.asarray(suns_G) @ normal.T
+    are_lit = (seen * lit > 0.0) & (np.abs(seen) > MIN_COSINE) & (np.abs(lit) > MIN_COSINE)
+    bit = np.uint64(1) << np.arange(len(pictures), dtype=np.uint64)
+    return np.unique(np.where(are_lit, bit[:, None], np.uint64(0)).sum(axis=0, dtype=np.uint64))
 
 
 def _stay_open(
@@ -194,21 +209,6 @@ def _explains(
         reach_m = NEAREST_OF_RAY * minimum_filter(nearest, 3)[at] + MORE_CELLS * step_m
         agreed[shown] += away_m[shown] <= reach_m
     return np.asarray((agreed >= LEAST_SHOWN) & (agreed >= MOST_FRAMES * shows))
-
-
-def _located(p_G: Array, from_: Floats, shown: Counts, vertices: Array) -> tuple[Bools, Bools]:
-    """(n,) whether the rays to shown cells at p_G (n, 3) say how far away they are, by directions with the
-    sum (n, 3), of which nearly parallel ones do not; and whether they are as far as the surface is.
-    """
-    length = np.linalg.norm(from_, axis=1)
-    towards = directions(DIRECTIONS)
-    depth = vertices @ towards.T
-    low, high = depth.min(axis=0), depth.max(axis=0)
-    more = WITHIN_SHARE * (high - low)
-    nearest = cKDTree(towards).query(from_ / length[:, None])[1]
-    along = np.einsum("nk,nk->n", p_G, towards[nearest])
-    between = (along >= (low - more)[nearest]) & (along <= (high + more)[nearest])
-    return 1.0 - length / shown >= LEAST_SPREAD, between
 
 
 def _inside_hull(points: Array, grid: _Grid) -> Ints:
@@ -351,13 +351,11 @@ def _shows(
 
 
 @compiled_ieee
-def _count(
-    shown: Counts, free: Counts, from_: Floats, origin: Array, step: float, eye: Array,
+def _add_frame(
+    shown: Frames, sky: Frames, before: Frames, bit: np.uint64, origin: Array, step: float,
     X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Count for each cell whether a frame shows matter on its ray, or none; and add the direction to an eye
-    that it is shown to.
-    """
+    """Note for each cell whether the frame of this bit shows matter on its ray, the sky or surface behind."""
     nx, ny, nz = shown.shape
     for i in range(nx):
         for j in range(ny):
@@ -365,14 +363,42 @@ def _count(
                 x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
                 what = _shows(x, y, z, step, X, pinhole, behind, free_to, kind)
                 if what == TARGET:
-                    shown[i, j, k] += 1
-                    a, b, c = eye[0] - x, eye[1] - y, eye[2] - z
-                    away = np.sqrt(a * a + b * b + c * c)
-                    from_[i, j, k, 0] += a / away
-                    from_[i, j, k, 1] += b / away
-                    from_[i, j, k, 2] += c / away
-                elif what != NOTHING:
-                    free[i, j, k] += 1
+                    shown[i, j, k] |= bit
+                elif what == SKY:
+                    sky[i, j, k] |= bit
+                elif what == BEFORE:
+                    before[i, j, k] |= bit
+
+
+@compiled_ieee
+def _shares(shown: Frames, sky: Frames, before: Frames, lit: Frames) -> tuple[Floats, Floats]:
+    """Of the frames that say something of each cell (n,), the share of those that show it; and the largest of
+    the shares of those frames (m,) to which a plate there would turn its lit side. 0: too few show it.
+    """
+    of_all, of_plates = np.zeros(len(shown), dtype=np.float32), np.zeros(len(shown), dtype=np.float32)
+    for n in range(len(shown)):
+        count = _ones(shown[n])
+        if count >= LEAST_SHOWN:
+            of_all[n] = count / (count + _ones(sky[n] | before[n]))
+        if count < LEAST_OF_PLATE:
+            continue
+        for frames in lit:
+            of_plate = _ones(shown[n] & frames)
+            if of_plate >= MOST_OF_PLATE * count:
+                share = of_plate / (of_plate + _ones((sky[n] & frames) | before[n]))
+                if share >= SHARE_OF_PLATE:
+                    of_plates[n] = max(of_plates[n], share)
+    return of_all, of_plates
+
+
+@compiled_ieee
+def _ones(bits: Any) -> int:
+    """How many bits are set."""
+    count = 0
+    while bits:
+        bits &= bits - np.uint64(1)
+        count += 1
+    return count
 
 
 @compiled_ieee
@@ -401,7 +427,7 @@ def _pixel(x: float, y: float, z: float, X: Array, pinhole: Array) -> tuple[int,
 
 @compiled_ieee
 def _carve(
-    excluded: NDArray[np.uint64], open_: Bools, cell: Ints, origin: Array, step: float, middle: Array,
+    excluded: Frames, open_: Bools, cell: Ints, origin: Array, step: float, middle: Array,
     bit: np.uint64, sun: Array, opaque: Array, is_first: bool,
     X: Array, pinhole: Array, behind: Floats, free_to: Floats, kind: NDArray[np.uint8],
 ) -> None:  # fmt: skip

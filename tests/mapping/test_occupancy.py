@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from polhode.geometry.lie import Array
+from polhode.geometry.lie import Array, exp_so3, make_pose
 from polhode.mapping import occupancy as module
 from polhode.mapping.occupancy import occupancy_of
 from polhode.mapping.visibility import FrameView, MeshViewer
@@ -86,6 +86,26 @@ def test_an_antenna_thinner_than_a_cell_that_not_all_frames_show_is_outlined() -
         # as the pixel at the middle of a cell says
         patch.setattr(module._Picture, "see_in_cells", lambda *_: None)
         assert (states(found(BOX, views), along) == OUTLINED).mean() == 0.0
+
+
+def test_a_panel_whose_dark_side_most_frames_show_is_outlined() -> None:
+    """In light from the side, 7 of 24 frames show the lit side of the panel above a body that turns."""
+    panel = trimesh.creation.box((0.05, 0.05, 0.0012))
+    panel.apply_translation((0.0, 0.055, 0.0))
+    turns = np.deg2rad(np.concatenate([np.linspace(105.0, 150.0, 7), np.linspace(200.0, 250.0, 17)]))
+    sun_N, views = np.array([1.0, 0.0, 0.0]), []
+    for n, turn in enumerate(turns):
+        X = make_pose(exp_so3([0.0, turn, 0.0]), np.array([0.0, 0.0, 0.5]))
+        seen = rendered(union(BOX, panel), X, sun_N, lambda p: 150 + 0 * p[:, 0])
+        views.append(FrameView(seen.image, seen.image > 0, X, seen.R_NR, lit_above=12.0, frame=n))
+    places = np.array(
+        [[x, y, 0.0] for x in np.linspace(-0.02, 0.02, 6) for y in np.linspace(0.035, 0.075, 7)]
+    )
+    assert (states(found(BOX, views, sun_N), places) == OUTLINED).all()
+    # without a word on the Sun, the frames that show its dark side seem to show the sky
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_lit_and_seen", lambda *_: np.zeros(0, dtype=np.uint64))
+        assert (states(found(BOX, views, sun_N), places) == OUTLINED).mean() < 0.5
 
 
 def test_of_the_cells_on_a_ray_those_count_that_agree_most_and_are_near_the_surface() -> None:
